@@ -26,12 +26,7 @@ from cluster_est.closed_loop.findings.description import (
     where_left,
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import (
-    ErrorChange,
-    NoiseChange,
-    Verdict,
-    pooled_error,
-)
+from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict, pooled_error
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.unexplained import (
     UnexplainedResidual,
@@ -40,10 +35,7 @@ from cluster_est.closed_loop.findings.unexplained import (
 )
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge, veto
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.output_noise import (
-    believed_noise,
-    residual_noise,
-)
+from cluster_est.closed_loop.output_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.selection.answer import undetermined_sentence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
@@ -52,6 +44,7 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Ending, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.fit_tables import EffectCurve
@@ -74,16 +67,9 @@ NOT_ALLOWED_FOR = (
 
 @dataclass(frozen=True)
 class LastFits:
-    """The last fits of the declared model and of the one with the effects.
+    """The last fits of the declared model and of the one with the effects, and their errors.
 
-    Attributes
-    ----------
-    before, after
-        The same where nothing was added.
-    errors
-        Of both side by side.
-    noise
-        What the effects make of process noise, where there is some.
+    Both are the same where nothing was added. `noise` is what the effects make of process noise.
     """
 
     before: Result = field(repr=False)
@@ -124,17 +110,9 @@ def best_on_few_rows(
 ) -> list[tuple[FitStart, FittedModel | None]]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
-    A search does not fit to convergence, and what is left takes iterations each of which costs as
-    much more as there are more rows. These fits are in the values of the parameters, no logarithms
-    among them: two terms that the data hardly tell apart, such as two dampings, keep their sum
-    along the valley between them, which is straight in their values and bent in their logarithms,
-    so that many short steps would follow it.
-
-    Returns
-    -------
-    list of (FitStart, FittedModel or None)
-        Each model from where its fit has ended, and that fit; the start as it was, and None, where
-        it cannot be simulated.
+    Each further iteration on all rows costs as much more as there are more of them. Returned is
+    each model from where its fit has ended, and that fit; the start as it was, and None, where it
+    cannot be simulated.
     """
     return _straight_fits(fitter, starts, _of_many_rows(fitter.size))
 
@@ -142,7 +120,12 @@ def best_on_few_rows(
 def _straight_fits(
     fitter: Fitter, starts: Sequence[FitStart], method: LeastSquares
 ) -> list[tuple[FitStart, FittedModel | None]]:
-    """Fit in the values of the parameters, no logarithms among them."""
+    """Fit in the values of the parameters, no logarithms among them.
+
+    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the valley
+    between them, which is straight in their values and bent in their logarithms: many short steps
+    would follow it.
+    """
     found: list[tuple[FitStart, FittedModel | None]] = []
     for start in starts:
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
@@ -171,18 +154,9 @@ def _fitted_from(
 
 @dataclass(frozen=True)
 class LastAnswer:
-    """An answer of a search, after its last fits.
+    """An answer of a search and what the training experiments say of it, after its last fits.
 
-    Attributes
-    ----------
-    found, judged
-        The models, and what the training experiments say of them.
-    fits
-        The last ones.
-    number
-        Of the answers of the search, 0 the first one.
-    against
-        What speaks against those before it.
+    It is one of several, by its number, and something speaks `against` those before it.
     """
 
     found: SelectionResult = field(repr=False)
@@ -198,14 +172,8 @@ def last_answer(
 ) -> LastAnswer:
     """Return the first answer that nothing speaks against after its last fits.
 
-    Where something does against each of them, it is the first one, which is then not claimed.
-
-    Parameters
-    ----------
-    ends
-        The answer of a search, and those that it took the place of.
-    last
-        Do the last fits of each.
+    Where something does against each of them, it is the first one, which is then not claimed. The
+    ends of a search come with what does the last fits of each.
     """
     refused: list[LastAnswer] = []
     said: list[str] = []
@@ -224,30 +192,30 @@ def last_answer(
 
 def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     """Let the held-out experiments veto what was found, and put it into words."""
-    found, judged, fits = answer.found, answer.judged, answer.fits
+    found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
-    judgement = confirmed(judged, fits.errors, found.settings)
+    judgement = confirmed(answer.judged, fits.errors, found.settings)
     keep = judgement.verdict in CLAIMS
+    after, kept = (grown, found.current) if keep else (before, found.base)
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
+    held: tuple[str, ...] = ()
+    competing: tuple[CompetingModel, ...] = ()
+    choices = None
     if keep:
+        judgement, held = at_bounds(judgement, kept, after)
         shapes = "the shapes of the effects"
-        curves = steps.do(shapes, lambda: effect_curves(fitter, found.current, grown), ())
+        curves = steps.do(shapes, lambda: effect_curves(fitter, kept, grown), ())
+        often = "how often these effects are chosen"
+        choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
+    if keep and not fitter.predicts:
+        competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     named = describe_effects(fitter, found, grown, curves)
-    after, kept = (grown, found.current) if keep else (before, found.base)
-    judgement, held = at_bounds(judgement, kept, after) if keep else (judgement, ())
     unexplained = steps.do(
         "the description of the unexplained residual",
         lambda: _unexplained(fitter, judgement.verdict, kept, found),
         (),
     )
-    choices = None
-    competing: tuple[CompetingModel, ...] = ()
-    if keep:
-        often = "how often these effects are chosen"
-        choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
-    if keep and not fitter.predicts:
-        competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     begun = initial_errors(after.problem, after.simulations, fitted=True)
     compared = steps.do(
         "the probabilities of the structures",
@@ -259,13 +227,9 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
-    notes = (
-        *held,
-        *answer.against,
-        *scope.notes,
-        *_notes(fitter, judgement.verdict, kept, before, after),
-    )
+    scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
+    notes = (*failed, *_nothing_tried(found, scope.sites), *held, *answer.against, *scope.notes)
     return LoopResult(
         verdict=judgement.verdict,
         message="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
@@ -277,14 +241,14 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
         sites=scope.sites,
-        notes=(*failed, *_nothing_tried(found, scope.sites), *notes),
+        notes=(*notes, *_notes(fitter, judgement.verdict, kept, before, after)),
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,
         evaluations=fitter.runner.evaluations,
         failures=fitter.runner.failures,
         seconds=0.0,
         curves=curves,
-        errors_over=_scale(fitter),
+        errors_over=ErrorScale.PREDICTED if fitter.predicts else scale,
         structures=compared,
         resampled="" if choices is None else choices.sentence,
         unexplained=unexplained,
@@ -315,13 +279,6 @@ def at_bounds(
     if judged.verdict is Verdict.FOUND:
         judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{judged.reason}; {said}")
     return judged, (said,)
-
-
-def _scale(fitter: Fitter) -> ErrorScale:
-    """What errors are divided by."""
-    if fitter.predicts:
-        return ErrorScale.PREDICTED
-    return ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
@@ -369,20 +326,17 @@ def _unexplained(
         return ()
     significance, period = found.settings.significance, left[0].period
     columns = varying_columns(fitter, fitted.residuals, significance, period)
+    named = [(each.output,) if number else ("", each.output) for number, each in enumerate(left)]
     return tuple(
-        replace(each, columns=tuple(c.sentence for c in columns if c.output == each.output))
-        if each is not left[0]
-        else replace(
-            each, columns=tuple(c.sentence for c in columns if c.output in ("", each.output))
-        )
-        for each in left
+        replace(each, columns=tuple(c.sentence for c in columns if c.output in outputs))
+        for each, outputs in zip(left, named, strict=True)
     )
 
 
 def _disturbance(
     verdict: Verdict,
     unexplained: Sequence[UnexplainedResidual],
-    begun: Sequence[InitialError] = (),
+    begun: Sequence[InitialError],
 ) -> tuple[str, ...]:
     """Say how large what nothing explains is, and how fast, if the start is not what is wrong."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
@@ -450,14 +404,29 @@ def _of_many_rows(count: int) -> LeastSquares:
 def final_fit(
     fitter: Fitter, start: FitStart, begin: float, method: LeastSquares = FINAL
 ) -> Result:
-    """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
+    """Fit to convergence, and simulate every experiment; `begin` is when the run began."""
     space = fitter.space(start)
     (solution,) = fitter.runner.run([SearchRequest("final", method, space, fitter.seed)])
-    before = simulate_all(fitter.runner, start.problem, {})
-    steps = GuardedSteps()
-    known = steps.assessed(space, solution, lambda: examine(fitter.runner, space, solution))
+    return _completed(fitter, space, solution, method, begin, examined=True)
+
+
+def _completed(
+    fitter: Fitter,
+    space: SearchSpace,
+    solution: Solution,
+    method: LeastSquares,
+    begin: float,
+    *,
+    examined: bool,
+) -> Result:
+    """The result of a fit, with simulations of every experiment; see `complete`."""
+    runner, steps = fitter.runner, GuardedSteps()
+    before = simulate_all(runner, space.problem, {})
+    known = None
+    if examined:
+        known = steps.assessed(space, solution, lambda: examine(runner, space, solution))
     found = complete(
-        fitter.runner,
+        runner,
         space,
         solution,
         method,
@@ -486,16 +455,8 @@ def result_so_far(
 ) -> LoopResult | None:
     """Return the best structure that was accepted so far as a result; None where it has none.
 
-    Its simulations are not counted and not logged, so that the run is the same without it.
-
-    Parameters
-    ----------
-    found
-        After a round in which something was added.
-    begin
-        A reading of the monotonic clock.
-    said
-        Of the records that the search is on.
+    Its simulations are not counted and not logged, so that the run is the same without it. What is
+    `said` is about the records that the search is on.
     """
     try:
         with fitter.runner.uncounted():
@@ -523,14 +484,4 @@ def _as_it_is(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
     at = assemble_evaluation(space, fitted.x, tuple(outcomes), 0)
     ending = Ending.CONVERGED if fitted.converged else Ending.MAX_ITERATIONS
     solution = Solution(fitted.x, at.cost, ending, jacobian=fitted.jacobian, at=at)
-    return complete(
-        runner,
-        space,
-        solution,
-        FINAL,
-        simulate_all(runner, fitted.problem, {}),
-        variables=fitter.description.variables,
-        seed=fitter.seed,
-        begin=begin,
-        steps=GuardedSteps(),
-    )
+    return _completed(fitter, space, solution, FINAL, begin, examined=False)

@@ -17,22 +17,19 @@ from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, findings, screen
 from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import CandidateStage, LoopSettings
-from cluster_est.closed_loop.workbench import (
-    LoopRequest,
-    checked_request,
-    open_workbench,
-)
+from cluster_est.closed_loop.workbench import LoopRequest, check_arguments, open_workbench
 from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.free_curves import Monotone, checked_shape
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
-from cluster_est.running.arguments import check_problem
+from cluster_est.running.arguments import check_problem, checked_resources, prepared
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
-from workers.effects.forms import FormCoefficient
+from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
-from workers.effects.site import check_site, parse_site, unnamed_variables
+from workers.effects.site import EffectSite, check_site, parse_site, unnamed_variables
 from workers.messages.checks import as_tuple, check_kind, check_name, check_number, check_text
 
 
@@ -121,11 +118,10 @@ def detect(
     ClusterEstError
         As `close_loop`.
     """
-    request = checked_request(problem, resources, settings, seed)
+    request = _checked_request(problem, resources, settings, seed)
     with _fitted(request) as (fitter, fitted, error):
         screening = screen(fitter, request.settings, fitted, 1)
-        records = fitter.records
-        parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
+        parts = fitter.records.by_output(fitted.residuals)
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
         return DetectionResult(
             p=screening.p,
@@ -162,7 +158,7 @@ def locate(
     ClusterEstError
         As `close_loop`; also where no effect can be told from the error of the solver or its step.
     """
-    request = checked_request(problem, resources, settings, seed)
+    request = _checked_request(problem, resources, settings, seed)
     with _fitted(request) as (fitter, fitted, error):
         if error.hides_effects:
             raise ProblemError(error.refusal)
@@ -227,10 +223,16 @@ def add_effect(
     starts, shape = _starts(start), checked_shape(slope_change, monotone, bounds)
     held: tuple[str, ...] = ()
     if form and not equation:
-        missing = _unstarted(problem, site, form, name or form, starts)
+        place, chosen = _form_at(problem, site, form, f"effect {name or form!r}")
+        missing = [
+            c
+            for c in chosen.coefficients
+            if (c.neutral is None or chosen.divides_by(c.name)) and c.name not in starts
+        ]
         held = tuple(c.name for c in missing if c.held)
         if missing:
-            starts |= _sized(problem, site, form, variables, missing)
+            about = variables or unnamed_variables(chosen, place)
+            starts |= _sized(problem, place, about, missing)
     coefficients = {
         key: DeclaredCoefficient(start=value, fixed=key in held) for key, value in starts.items()
     }
@@ -247,10 +249,20 @@ def add_effect(
     return grown
 
 
+def _checked_request(
+    problem: Problem,
+    resources: Resources | Mapping[str, Any] | str | None,
+    settings: LoopSettings | Mapping[str, Any] | None,
+    seed: int,
+) -> LoopRequest:
+    """What a user has handed over, checked as a config is."""
+    problem, chosen = prepared(problem), LoopSettings.of(settings)
+    check_arguments(problem, chosen, seed)
+    return LoopRequest(problem, RunEnvironment(checked_resources(resources)), chosen, seed)
+
+
 @contextmanager
-def _fitted(
-    request: LoopRequest,
-) -> Iterator[tuple[Fitter, FittedModel, NumericalError]]:
+def _fitted(request: LoopRequest) -> Iterator[tuple[Fitter, FittedModel, NumericalError]]:
     """The declared model fitted, and how exact its simulations are there."""
     refuse_process_noise(request.problem, "detect and locate")
     with open_checked_workbench(request) as workbench:
@@ -271,32 +283,20 @@ def _starts(given: Mapping[str, float] | None) -> dict[str, float]:
     return {name: float(value) for name, value in (given or {}).items()}
 
 
-def _unstarted(
-    problem: Problem, site: str, name: str, effect: str, starts: Mapping[str, float]
-) -> list[FormCoefficient]:
-    """Coefficients of a form without a start, given or by nature."""
-    where = f"effect {effect!r}"
+def _form_at(problem: Problem, site: str, form: str, where: str) -> tuple[EffectSite, EffectForm]:
+    """The site and the form that a user names, checked."""
     place = parse_site(site, f"{where}: site")
     check_site(place, problem.describe(), problem.model.interface, f"{where}: site")
-    chosen = find_form(place.kind, name, where)
-    return [
-        c
-        for c in chosen.coefficients
-        if (c.neutral is None or chosen.divides_by(c.name)) and c.name not in starts
-    ]
+    return place, find_form(place.kind, form, where)
 
 
 def _sized(
     problem: Problem,
-    site: str,
-    name: str,
-    variables: tuple[str, ...],
+    place: EffectSite,
+    about: tuple[str, ...],
     missing: Sequence[FormCoefficient],
 ) -> dict[str, float]:
     """Starts from the middle of the grids that a search would look at, where there are any."""
-    place = parse_site(site, "site")
-    chosen = find_form(place.kind, name, "form")
-    about = variables or unnamed_variables(chosen, place)
     with open_workbench(LoopRequest(problem)) as workbench:
         fitter = workbench.fitter
         space = fitter.space(FitStart(fitter.problem, {}))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, final
+from functools import cached_property
 
 import numpy as np
-from typing_extensions import override
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
@@ -16,7 +14,7 @@ from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.method import Ending, Evaluation, GivenPoints, Method
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import without_noise
+from cluster_est.problem.process_noise import noise_names, without_noise
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import with_best_sensors
 from cluster_est.running.resources import Record, TaskOrigin
@@ -27,28 +25,21 @@ from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Output, Want
 
+SAMPLES_KEPT = 12
+"""Samples of each output that a shortened copy keeps at least."""
+
 
 @dataclass(frozen=True)
 class ShortenedCopy:
-    """The first part of an experiment.
-
-    Attributes
-    ----------
-    share
-        Of its record.
-    samples
-        Of each output that it keeps at least.
-    """
+    """The first part of an experiment, by its share of the record."""
 
     share: float
-    samples: int
 
     def of(self, experiment: Experiment) -> Experiment:
-        """Shorten an experiment."""
         stop = experiment.start + self.share * (experiment.stop - experiment.start)
         for output in experiment.outputs:
             if len(output.times):
-                stop = max(stop, float(output.times[min(self.samples, len(output.times)) - 1]))
+                stop = max(stop, float(output.times[min(SAMPLES_KEPT, len(output.times)) - 1]))
         outputs = [output.only(output.times <= stop) for output in experiment.outputs]
         name = f"{experiment.id} (first {self.share:.0%})"
         return replace(experiment, id=name, stop=stop, outputs=tuple(outputs))
@@ -56,18 +47,11 @@ class ShortenedCopy:
 
 @dataclass(frozen=True)
 class EnlargedCopy:
-    """An experiment whose inputs swing further about their means.
-
-    Attributes
-    ----------
-    factor
-        By how much.
-    """
+    """An experiment whose inputs swing further about their means, by a factor."""
 
     factor: float
 
     def of(self, experiment: Experiment) -> Experiment:
-        """Enlarge the inputs of an experiment."""
         means = [given.values.mean() for given in experiment.inputs]
         inputs = tuple(
             replace(given, values=np.asarray(mean + self.factor * (given.values - mean)))
@@ -79,8 +63,8 @@ class EnlargedCopy:
 
 SyntheticKind = ShortenedCopy | EnlargedCopy
 
-SHORTENED = (ShortenedCopy(0.15, 12), ShortenedCopy(0.4, 12))
-"""Copies that a start grows through, the shortest first, with 12 samples at least. Benchmark."""
+SHORTENED = (ShortenedCopy(0.15), ShortenedCopy(0.4))
+"""Copies that a start grows through, the shortest first. Benchmark."""
 
 ENLARGED = EnlargedCopy(1.25)
 """Copies in which a model must stay bounded. Benchmark."""
@@ -98,24 +82,21 @@ def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> P
 class SimulationMeter:
     """Counts simulations in units of a whole experiment, and hands them on to a record.
 
-    Parameters
-    ----------
-    experiments
-        Those that are installed; what has been shortened counts for its part.
-    record
-        Called for each simulation; may be None.
+    What has been shortened counts for its part. The record hears which experiment it was: synthetic
+    ones are not the problem's.
     """
 
     def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
         longest = max(e.stop - e.start for e in experiments)
         self._parts = [(e.stop - e.start) / longest for e in experiments]
+        self._names = [(e.id, e.key) for e in experiments]
         self._record = record
         self.full = 0.0
 
     def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
         self.full += self._parts[origin.task.experiment]
         if self._record is not None:
-            self._record(origin, outcome)
+            self._record(replace(origin, installed=self._names[origin.task.experiment]), outcome)
 
 
 @dataclass(frozen=True)
@@ -126,9 +107,7 @@ class FittedModel:
     ----------
     space, x
         The unknowns and where they stand, in search coordinates.
-    residuals : (N,)
-    jacobian : (N, unknowns)
-        Of the residuals, in search coordinates.
+    residuals, jacobian : (N,), (N, unknowns)
     added
         The effects that the loop has added, in order.
     converged
@@ -174,6 +153,11 @@ class FittedModel:
         """Physical values by label."""
         return self.space.estimates(self.x)
 
+    def coefficients(self, added: EffectCandidate) -> list[float]:
+        """Values of the coefficients of an effect, estimated or held."""
+        known = {p.name: p.start for p in self.problem.parameters} | self.estimates
+        return [float(known[f"{added.effect.name}.{c.name}"]) for c in added.form.coefficients]
+
     def likelihood(self, records: StackedRecords) -> float:
         """-2 log likelihood, with the variance of each output's noise estimated along."""
         return deviance(self.residuals, records)
@@ -215,29 +199,24 @@ class FitStart:
 
 
 @dataclass(frozen=True)
-class Fitter(ABC):
+class Fitter:
     """Fits models to the training experiments: the queue of simulations, and what they are of.
+
+    Residuals are those of simulations that go their own way. Beside process noise they are
+    innovations of a Kalman filter over their standard deviations (`predicts`).
 
     Attributes
     ----------
     runner
         Its executor has the problem's experiments, then the synthetic ones.
-    problem
-        The declared model.
-    description
-        Of its FMU.
-    seed
-        Of the loop.
-    train
-        Indices of the training experiments.
-    records
-        Of their residuals, stacked.
+    problem, description
+        The declared model, and what its FMU says of itself.
+    train, records
+        Indices of the training experiments, and the records of their residuals, stacked.
     synthetic
         For each kind, the index of each training experiment's copy.
     everything
         The problem with all experiments that are installed.
-    meter
-        Counts what was simulated.
     noise_of_samples
         By output, where records are thinned: of the samples that rows were made from, in its unit.
     sigma_declared
@@ -256,17 +235,18 @@ class Fitter(ABC):
     noise_of_samples: Mapping[str, float]
     sigma_declared: bool
 
-    predicts: ClassVar[bool]
-    """Residuals are errors of predictions from one sample to the next, and not of simulations."""
+    @cached_property
+    def predicts(self) -> bool:
+        """Residuals are errors of predictions from one sample to the next, under process noise."""
+        return bool(noise_names(self.problem))
 
     @property
-    @abstractmethod
     def by_linear_systems(self) -> bool:
-        """The directions of candidates follow from linear systems; else each is simulated."""
+        """The directions of candidates follow from linear systems; else each is simulated.
 
-    @abstractmethod
-    def enlarged(self, problem: Problem) -> Problem:
-        """Return a problem as it is simulated where inputs swing further."""
+        In co-simulation the states are hidden, and a filter corrects them.
+        """
+        return self.exchange and not self.predicts
 
     @property
     def size(self) -> int:
@@ -291,7 +271,7 @@ class Fitter(ABC):
 
     def noise_floor(self, noise: FloatArray) -> float:
         """The sum of squares that the noise alone would leave; never 0."""
-        sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]
+        sizes = list(map(len, self.records.by_output(self.sigmas)))
         return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
 
     def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
@@ -299,12 +279,11 @@ class Fitter(ABC):
 
         Of sigmas that differ between experiments it is the root mean square over the samples.
         """
-        sigmas, found = self.sigmas, {}
-        for number, name in enumerate(self.records.outputs):
-            own = sigmas[self.records.of_output(number)]
+        found, sigmas = {}, self.records.by_output(self.sigmas)
+        for name, level, own in zip(self.records.outputs, noise, sigmas, strict=True):
             equal = not len(own) or bool(np.all(own == own[0]))
             sigma = (own[0] if len(own) else 1.0) if equal else np.sqrt(np.mean(own**2))
-            found[name] = float(noise[number] * sigma)
+            found[name] = float(level * sigma)
         return found
 
     @property
@@ -323,7 +302,7 @@ class Fitter(ABC):
         experiments = self.synthetic[kind]
         problem = replace(start.problem, experiments=self.everything.experiments)
         if isinstance(kind, EnlargedCopy):
-            problem = self.enlarged(problem)
+            problem = without_noise(problem)  # nothing was measured that a filter could follow
         values = dict(start.values)
         names = {p.name for p in problem.parameters}
         for own, copy in zip(self.train, experiments, strict=True):
@@ -388,6 +367,19 @@ class Fitter(ABC):
         ]
         return [solution.evaluations for solution in self.runner.run(requests)]
 
+    def simulate(
+        self,
+        problem: Problem,
+        experiments: tuple[int, ...],
+        known: Mapping[str, float],
+        want: Want,
+        stage: str,
+    ) -> Sequence[Outcome]:
+        """Simulate experiments of a problem, at its start where no value is known."""
+        space = make_space(problem, experiments, known)
+        values = space.physical(space.start)
+        return self.runner.simulate(values, experiments, want, stage, problem.effects)
+
     def trajectories(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
         """Simulate and linearise the training experiments at a fit."""
         want: Want = "linearisation" if self.exchange else "trajectory"
@@ -408,41 +400,3 @@ class Fitter(ABC):
             make_trajectory(run, outcome, self.description.states)
             for run, outcome in zip(self.runs, outcomes, strict=True)
         ]
-
-
-@final
-@dataclass(frozen=True)
-class SimulationFitter(Fitter):
-    """Compares simulations that go their own way with what was measured."""
-
-    predicts: ClassVar[bool] = False
-
-    @property
-    @override
-    def by_linear_systems(self) -> bool:
-        return self.exchange  # in co-simulation the states are hidden
-
-    @override
-    def enlarged(self, problem: Problem) -> Problem:
-        return problem
-
-
-@final
-@dataclass(frozen=True)
-class PredictionFitter(Fitter):
-    """Compares predictions of a Kalman filter with what was measured, under process noise.
-
-    Residuals are innovations over their standard deviations. The filter corrects the states, so
-    that no linear system without it says what a candidate changes.
-    """
-
-    predicts: ClassVar[bool] = True
-
-    @property
-    @override
-    def by_linear_systems(self) -> bool:
-        return False
-
-    @override
-    def enlarged(self, problem: Problem) -> Problem:
-        return without_noise(problem)  # nothing was measured there that a filter could follow

@@ -66,8 +66,6 @@ class NumericalError:
     ----------
     scale
         What decides how exact the solver is.
-    outputs
-        Names.
     rms, noise, residual : (outputs,)
         Root mean squares of each output's numerical error, noise and residual, in units of its
         residual.
@@ -177,12 +175,8 @@ def observed_order(first: FloatArray, second: FloatArray, ratio: float) -> float
     """Order of a step, from the differences of three solutions whose steps have one ratio.
 
     With an error C h^p the differences y(h) - y(h/q) and y(h/q) - y(h/q^2) have the ratio q^p
-    (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357, doi:10.1098/rsta.1911.0009).
-
-    Returns
-    -------
-    float
-        Between 1 and 4; 1 where they do not fall. NaN never.
+    (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357, doi:10.1098/rsta.1911.0009). It is
+    believed between 1 and 4, and 1 where they do not fall.
     """
     sizes = [float(np.sqrt(np.add.reduce(each**2))) for each in (first, second)]
     if not sizes[1] > 0.0:
@@ -257,13 +251,9 @@ def error_with_effects(
     """Measure the numerical error of a model with effects, where a step decides it.
 
     A step that is short enough for the declared model may miss the kinks of an effect: between two
-    communication points an input that has been changed counts as a straight line.
-
-    Returns
-    -------
-    NumericalError
-        That of the declared model where nothing was added, where a tolerance keeps the error small,
-        or where no larger one can be measured.
+    communication points an input that has been changed counts as a straight line. It is that of the
+    declared model where nothing was added, where a tolerance keeps the error small, or where no
+    larger one can be measured.
     """
     if not fitted.added or not declared.scale.step:
         return declared
@@ -313,6 +303,5 @@ def _residuals(
 
 def _rms(fitter: Fitter, stacked: FloatArray) -> FloatArray:
     """Root mean square of each output, over all training experiments."""
-    records = fitter.records
-    parts = [stacked[records.of_output(o)] for o in range(len(records.outputs))]
+    parts = fitter.records.by_output(stacked)
     return np.array([float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in parts])

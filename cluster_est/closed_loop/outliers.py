@@ -17,7 +17,6 @@ from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopScope, LoopWorkbench, open_workbench
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import answers_to_inputs
 from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.thinning import LONG
@@ -57,17 +56,7 @@ CHANCE_OF_JUMPS = 0.01
 
 @dataclass(frozen=True)
 class OutliersOfOutput:
-    """The outliers of one output in all experiments of a role.
-
-    Attributes
-    ----------
-    output
-        Its name.
-    held_out
-        The role is "test".
-    found
-        By experiment.
-    """
+    """The outliers of one output in all experiments of a role, by experiment."""
 
     output: str
     held_out: bool
@@ -188,25 +177,28 @@ def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutp
     """
     found = []
     for held_out, role in ((False, "train"), (True, "test")):
-        runs = problem.indices(role)
-        for name in dict.fromkeys(o.variable for e in runs for o in problem.experiments[e].outputs):
-            signals = {
-                e: output.values / output.sigmas
-                for e in runs
-                for output in problem.experiments[e].outputs
-                if output.variable == name and len(output.times) > LONG * most
-            }
-            if not signals:
-                continue
-            jumps = {e: answers_to_inputs(problem.experiments[e], name) for e in signals}
-            noise = _noise_of_signals(list(signals.values()), EXACT)
-            outliers = OutliersOfOutput(name, held_out, _of_sensor(signals, jumps, noise))
-            if outliers.count and outliers.few:
-                found.append(outliers)
+        signals = {
+            (e, output.variable): output.values / output.sigmas
+            for e in problem.indices(role)
+            for output in problem.experiments[e].outputs
+            if len(output.times) > LONG * most
+        }
+        for name, own in _by_output(signals).items():
+            jumps = {e: answers_to_inputs(problem.experiments[e], name) for e in own}
+            noise = _noise_of_signals(list(own.values()))
+            found.append(OutliersOfOutput(name, held_out, _of_sensor(own, jumps, noise)))
+    return [each for each in found if each.count and each.few]
+
+
+def _by_output(signals: Mapping[Place, FloatArray]) -> dict[str, dict[int, FloatArray]]:
+    """The signals of each output, by experiment."""
+    found: dict[str, dict[int, FloatArray]] = {}
+    for (experiment, output), signal in signals.items():
+        found.setdefault(output, {})[experiment] = signal
     return found
 
 
-def _noise_of_signals(signals: Sequence[FloatArray], exact: float) -> float:
+def _noise_of_signals(signals: Sequence[FloatArray]) -> float:
     """The noise of signals of one sensor, no less than what a simulation may get wrong."""
     stacked = np.concatenate(signals)
     ends = np.cumsum([0, *map(len, signals)])
@@ -215,7 +207,7 @@ def _noise_of_signals(signals: Sequence[FloatArray], exact: float) -> float:
         for e, (first, last) in enumerate(pairwise(ends.tolist()))
     )
     (noise,) = estimate_noise(stacked, StackedRecords(("",), records), stacked)
-    return max(float(noise), exact * float(np.ptp(stacked)))
+    return max(float(noise), EXACT * float(np.ptp(stacked)))
 
 
 def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:
@@ -245,12 +237,8 @@ def _outliers(
     }
     found = []
     for held_out, signals in ((False, training), (True, _held_out(fitter, fitted))):
-        for name in dict.fromkeys(output for _, output in signals):
-            own = {
-                e: signal
-                for (e, output), signal in signals.items()
-                if output == name and (e, output) not in thinned
-            }
+        looked_at = {place: each for place, each in signals.items() if place not in thinned}
+        for name, own in _by_output(looked_at).items():
             jumps = {e: answers_to_inputs(fitter.problem.experiments[e], name) for e in own}
             outliers = _in_records(own, jumps, noise.get(name, 0.0))
             found.append(OutliersOfOutput(name, held_out, outliers))
@@ -259,12 +247,10 @@ def _outliers(
 
 def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
     """The noise of each output, no less than what a simulation may get wrong."""
-    measured, records = measured_values(fitter), fitter.records
-    signals = [measured[records.of_output(output)] for output in range(len(records.outputs))]
+    signals = fitter.records.by_output(measured_values(fitter))
     ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
-    exact = EXACT * ranges
-    noise = np.fmax(noise_of(fitter, fitted.residuals), exact)
-    return dict(zip(records.outputs, noise.tolist(), strict=True))
+    noise = np.fmax(noise_of(fitter, fitted.residuals), EXACT * ranges)
+    return dict(zip(fitter.records.outputs, noise.tolist(), strict=True))
 
 
 def _in_records(
@@ -303,14 +289,8 @@ def _of_sensor(
 def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
     """Residuals of the held-out experiments, with what they alone have at its start."""
     tests = fitter.problem.indices("test")
-    space = make_space(fitted.problem, tests, fitted.estimates)
-    outcomes = fitter.runner.simulate(
-        space.physical(space.start),
-        tests,
-        "trajectory",
-        LoopStage.DECLARED_MODEL.value,
-        fitted.problem.effects,
-    )
+    stage = LoopStage.DECLARED_MODEL.value
+    outcomes = fitter.simulate(fitted.problem, tests, fitted.estimates, "trajectory", stage)
     found = {}
     for test, outcome in zip(tests, outcomes, strict=True):
         for output in fitter.problem.experiments[test].outputs:
@@ -326,8 +306,8 @@ class GrowingNoise:
 
     Attributes
     ----------
-    output, growth
-        Its name, and by how much, in units of its residual.
+    growth
+        By how much, in units of its residual.
     sigma, relative_sigma
         Of a sample, as in `Output`; NaN where they are not known.
     weighted

@@ -18,22 +18,12 @@ from workers.messages import FloatArray
 
 
 def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
-    """Standard deviation of the noise of each output; see `estimate_noise`.
+    """Standard deviation of the noise of each output, in units of its residual: (outputs,).
 
     Where all records of an output are too short to tell noise from misfit, it is the sigma that was
     given for it: the whole residual counted as noise would hide what is missing. Of thinned records
     it is no more than what was seen between the samples that their rows were made from: a residual
-    that is smooth there may not be from row to row.
-
-    Parameters
-    ----------
-    residuals : (N,)
-        Of the training experiments.
-
-    Returns
-    -------
-    (outputs,)
-        In units of the residual.
+    that is smooth there may not be from row to row. See `estimate_noise`.
     """
     found = estimate_noise(residuals, fitter.records, measured_values(fitter))
     for number in range(len(found)):
@@ -45,15 +35,12 @@ def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
 def _seen_between_samples(fitter: Fitter) -> FloatArray:
     """Noise of each output in units of the residual, where records are thinned; else NaN."""
     names = fitter.records.outputs
-    units: dict[str, list[FloatArray]] = {name: [] for name in names}
-    for run in fitter.runs:
-        for output in run.outputs:
-            if output.noise_factors is not None:
-                units[output.variable].append(output.sigmas / output.noise_factors)
     found = np.full(len(names), np.nan)
     for number, name in enumerate(names):
-        if units[name] and name in fitter.noise_of_samples:
-            unit = float(np.median(np.concatenate(units[name])))
+        own = [o for run in fitter.runs for o in run.outputs if o.variable == name]
+        units = [o.sigmas / o.noise_factors for o in own if o.noise_factors is not None]
+        if units and name in fitter.noise_of_samples:
+            unit = float(np.median(np.concatenate(units)))
             found[number] = fitter.noise_of_samples[name] / unit
     return found
 
@@ -67,8 +54,8 @@ def expected_noise(fitter: Fitter, residuals: FloatArray) -> FloatArray:
 
 def is_told(records: StackedRecords, output: int) -> bool:
     """Return whether some record of an output is long enough to tell noise from misfit."""
-    lengths = [len(record.times) for record in records.items if record.output == output]
-    return max(lengths, default=0) >= SHORTEST_NOISE_RECORD
+    own = (record for record in records.items if record.output == output)
+    return any(len(record.times) >= SHORTEST_NOISE_RECORD for record in own)
 
 
 def is_given(fitter: Fitter, output: int) -> bool:
@@ -116,30 +103,23 @@ class OutputNoise:
 
     Attributes
     ----------
-    output, samples
-        Its name, and how many there are.
-    level
-        Root mean square of the residual.
-    white
-        Estimated standard deviation of the part that is white noise.
+    level, white
+        Root mean square of the residual; estimated standard deviation of the part that is white.
     degrees
         Of freedom of the square of `level`: few where the residual has a memory.
     correlation
         Of one sample with the next.
     first_order
-        Nothing is seen beyond a first-order autoregression, which is what a sensor's coloured
-        noise looks like. A disturbance that goes through the model has a white floor beneath it, or
-        is smoother.
-    declared
-        The sigma is the user's.
+        Nothing is seen beyond a first-order autoregression, as of a sensor's coloured noise. A
+        disturbance that goes through the model has a white floor beneath it, or is smoother.
+    declared, given
+        The sigma is the user's; it is not 1 throughout, as it is where none is given.
     loud
         Where experiments have sigmas of their own, the ids of those that alone are noisier than
         twice theirs, if others are not.
     told
         Some record is long enough for its noise to be told from what a model leaves; else `white`
         is the sigma that is given, or the whole residual of the declared model.
-    given
-        The sigma is not 1 throughout, which is what stands where none is given.
     filtered
         The residuals are innovations: their unit is what process noise and sigma explain together.
     """
@@ -223,17 +203,8 @@ class OutputNoise:
 def residual_noise(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[OutputNoise, ...]:
-    """Compare the residual of a fit with the noise of each output.
-
-    Parameters
-    ----------
-    noise : (outputs,)
-        Estimated standard deviations of the noise, in units of the residual.
-    """
-    found = [
-        _of_output(fitter, fitted, number, float(noise[number]))
-        for number in range(len(fitter.records.outputs))
-    ]
+    """Compare the residual of a fit with the noise of each output, (outputs,), in its units."""
+    found = [_of_output(fitter, fitted, *each) for each in enumerate(noise.tolist())]
     return tuple(each for each in found if each is not None)
 
 
@@ -287,15 +258,9 @@ def is_noise_of_sensors(
 ) -> bool:
     """Return whether what is left may be the noise of sensors, however coloured, and no more.
 
-    Parameters
-    ----------
-    near
-        Times the noise that what is left may reach if an autoregression describes it.
-    largest
-        Times the estimated noise that it may reach where no sigma is declared: the estimate sees
-        the white part alone, and is too small by about 5 at a correlation of 0.93.
-    whitened
-        Once an autoregression is allowed for, nothing is left.
+    It may reach `near` times the noise if an autoregression describes it, with which nothing is
+    left (`whitened`). Where no sigma is declared, it may reach `largest` times the estimate, which
+    sees the white part alone, and is too small by about 5 at a correlation of 0.93.
     """
     for output in outputs:
         if output.filtered:  # with the right process noise innovations are white

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.account import LastAnswer, LastFits, account, final_fit
+from cluster_est.closed_loop.account import LastAnswer, LastFits, account, final_fit, last_models
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
@@ -34,7 +34,6 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names, noise_parameters, without_noise
-from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.results.result import Result
 from cluster_est.toml import dotted
@@ -51,12 +50,7 @@ NOT_AGAIN = (
 
 
 def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
-    """Find what a model with process noise lacks.
-
-    Parameters
-    ----------
-    begin
-        A reading of the monotonic clock.
+    """Find what a model with process noise lacks, in a run that began at a time.
 
     Raises
     ------
@@ -74,7 +68,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
         left = request.environment.left(used, time.monotonic() - begin)
         with open_workbench(replace(request, problem=held.problem, environment=left)) as workbench:
             fitter = workbench.fitter
-            searched = search_for_effects(workbench, held.start, request.environment.resources)
+            searched = search_for_effects(workbench, held, request.environment.resources)
             structure = searched.found.current.structure
             passed.append(structure)
             if not structure or structure in passed[:-1] or len(passed) == MOST_PASSES:
@@ -107,20 +101,16 @@ class SpentSimulations:
 
 def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResult:
     """Add what was simulated at the workbenches before the last one."""
-    return replace(
-        result,
-        simulations=result.simulations + sum(each.simulations for each in spent),
-        simulated=result.simulated + sum(each.simulated for each in spent),
-        evaluations=result.evaluations + sum(each.evaluations for each in spent),
-        failures=result.failures + sum(each.failures for each in spent),
-    )
+    names = [each.name for each in fields(SpentSimulations)]
+    before = {name: sum(getattr(each, name) for each in spent) for name in names}
+    return replace(result, **{name: getattr(result, name) + before[name] for name in names})
 
 
 def _judged(
     size: int, searched: SearchedModel, fits: LastFits, passed: list[frozenset[str]]
 ) -> ReasonedVerdict:
     """The verdict once both models have noise of their own."""
-    found, judged = searched.found, searched.judged
+    found, judged = searched.ends[0]
     if judged.verdict in CLAIMS:
         against = why_not_likely(size, found, fits)
         if against:
@@ -180,26 +170,6 @@ def noise_sentence(change: NoiseChange, *, kept: bool) -> str:
 WITH_NOISE = LeastSquares(trials=2, max_iterations=40, ftol=1e-8, xtol=1e-8)
 
 
-@dataclass(frozen=True)
-class HeldNoise:
-    """A problem whose process noise is held where a fit found it.
-
-    Attributes
-    ----------
-    problem
-        The declared model, its noise fixed, and in each experiment the `log_spread` of that fit.
-    values
-        Of its unknowns, to start from.
-    """
-
-    problem: Problem = field(repr=False)
-    values: Mapping[str, float]
-
-    @property
-    def start(self) -> FitStart:
-        return FitStart(self.problem, self.values)
-
-
 def check_noise_parameters(problem: Problem) -> None:
     """Refuse noise whose strength is not one number of its own.
 
@@ -232,19 +202,22 @@ def released(start: FitStart, declared: Problem) -> FitStart:
 
 def hold_noise(
     fitter: Fitter, declared: Problem, start: FitStart, known: Mapping[str, float]
-) -> HeldNoise:
+) -> FitStart:
     """Fit a model with its noise, and hold the noise of that fit in the declared one.
 
     Parameters
     ----------
-    fitter
-        Its experiments are those of the declared model, with any `log_spread`.
     declared
         As the user has given it.
     start
         The model, with noise that is free.
     known
         Values of the declared unknowns to start from; those of the fit where they are not given.
+
+    Returns
+    -------
+    FitStart
+        The declared model, its noise fixed, and in each experiment the `log_spread` of that fit.
 
     Raises
     ------
@@ -271,21 +244,14 @@ def hold_noise(
     problem = replace(declared, parameters=parameters, experiments=experiments)
     added = {p.name for p in fitted.problem.parameters} - {p.name for p in declared.parameters}
     values = {k: v for k, v in estimates.items() if k not in own and k not in added}
-    return HeldNoise(problem, {**values, **known})
+    return FitStart(problem, {**values, **known})
 
 
 def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
     """Return the `log_spread` of every experiment at a fit; 0 where it cannot be simulated."""
-    problem = fitted.problem
-    everything = tuple(range(len(problem.experiments)))
-    space = make_space(problem, everything, fitted.estimates)
-    outcomes = fitter.runner.simulate(
-        space.physical(space.start),
-        everything,
-        "linearisation",
-        LoopStage.PROCESS_NOISE.value,
-        problem.effects,
-    )
+    everything = tuple(range(len(fitted.problem.experiments)))
+    known, stage = fitted.estimates, LoopStage.PROCESS_NOISE.value
+    outcomes = fitter.simulate(fitted.problem, everything, known, "linearisation", stage)
     found = [outcome.linearisation for outcome in outcomes]
     return [0.0 if linear is None else linear.log_spread for linear in found]
 
@@ -298,23 +264,14 @@ def last_fits_with_noise(
     Errors in the output's unit are those of predictions, each by a filter with its model's own
     noise. Normalised ones are innovations over their standard deviations, those of both models
     under the noise that is left with the effects: 1 is what that noise explains.
-
-    Parameters
-    ----------
-    declared
-        As the user has given it.
     """
-    held = [final_fit(fitter, found.base.start, begin)]
-    free = [final_fit(fitter, released(found.base.start, declared), begin)]
-    if found.current.added:
-        held.append(final_fit(fitter, found.current.start, begin))
-        free.append(final_fit(fitter, released(found.current.start, declared), begin))
-    return LastFits(
-        before=free[0],
-        after=free[-1],
-        errors=_error_changes((free[0], free[-1]), (held[0], held[-1])),
-        noise=_noise_changes(free[0], free[-1]),
-    )
+    held, free = [], []
+    for start in (model.start for model in last_models(found)):
+        held.append(final_fit(fitter, start, begin))
+        free.append(final_fit(fitter, released(start, declared), begin))
+    before, after = free[0], free[-1]
+    errors = _error_changes((before, after), (held[0], held[-1]))
+    return LastFits(before, after, errors, _noise_changes(before, after))
 
 
 def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
@@ -363,9 +320,7 @@ def _simulation_error(fitter: Fitter, result: Result, role: Role) -> float:
     chosen = problem.indices(role)
     if not chosen:
         return np.nan
-    space = make_space(problem, chosen, known)
-    values = space.physical(space.start)
-    outcomes = fitter.runner.simulate(values, chosen, "trajectory", "free", problem.effects)
+    outcomes = fitter.simulate(problem, chosen, known, "trajectory", "free")
     parts = [
         output_residuals(output, outcome)
         for e, outcome in zip(chosen, outcomes, strict=True)

@@ -30,19 +30,13 @@ from cluster_est.closed_loop.numerical_error import (
 )
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
-from cluster_est.closed_loop.selection.free_curves import (
-    SingleEffects,
-    may_be_single,
-    single_effects,
-    single_instead,
-)
-from cluster_est.closed_loop.selection.functions_of_time import functions_of_time
+from cluster_est.closed_loop.selection.free_curves import Merging
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
-from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate
+from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, rivals_of
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     ComparedStructure,
@@ -82,11 +76,9 @@ class SearchedModel:
 
     Attributes
     ----------
-    found, judged
-        The models, and what the training experiments say of them.
-    earlier
-        The same of the answers that this one took the place of, the last one first: held-out
-        experiments may veto it.
+    ends
+        The answer and what the training experiments say of it; then the same of the answers that it
+        took the place of, the last one first: held-out experiments may veto it.
     error
         Of the solver, at the declared model.
     error_at
@@ -97,18 +89,15 @@ class SearchedModel:
         An input that the measurements prefer to be interpolated otherwise.
     """
 
-    found: SelectionResult = field(repr=False)
-    judged: ReasonedVerdict
+    ends: list[tuple[SelectionResult, ReasonedVerdict]] = field(repr=False)
     error: NumericalError = field(repr=False)
     error_at: Callable[[FittedModel], NumericalError] = field(repr=False)
-    failures: int = 0
-    interpolation: PreferredInterpolation | None = None
-    earlier: tuple[tuple[SelectionResult, ReasonedVerdict], ...] = ()
+    failures: int
+    interpolation: PreferredInterpolation | None
 
     @property
-    def ends(self) -> list[tuple[SelectionResult, ReasonedVerdict]]:
-        """The answer, and the earlier ones."""
-        return [(self.found, self.judged), *self.earlier]
+    def found(self) -> SelectionResult:
+        return self.ends[0][0]
 
 
 def search_for_effects(
@@ -129,11 +118,6 @@ def search_for_effects(
         Called after each round in which something was added, with all that was found so far.
     thinned
         The samples of the inputs are not those that were measured.
-
-    Raises
-    ------
-    ProblemError
-        If the model cannot be simulated at its start.
     """
     fitter, settings = workbench.fitter, workbench.settings
     fitter.enter("the declared model")
@@ -157,8 +141,7 @@ def search_for_effects(
         found, judged = ends[0]
         if said and judged.verdict is Verdict.UNEXPLAINED:
             ends[0] = found, replace(judged, reason=f"{said}; {judged.reason}")
-    failed = fitter.runner.failures - before
-    return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
+    return SearchedModel(ends, error, with_effects, fitter.runner.failures - before, other)
 
 
 def _record_faults(
@@ -215,15 +198,9 @@ def grow(
 ) -> SelectionResult:
     """Add effects to the declared model while they earn it.
 
-    Parameters
-    ----------
-    numerical
-        Fall of the sum of squares that one effect more could owe to the error of the solver at a
-        fitted model.
-    reached
-        Called after each round in which something was added, with all that was found so far.
-    again
-        Begin once more where the declared model turns out to have been in a local minimum.
+    `numerical` is the fall of the sum of squares that one effect more could owe to the error of the
+    solver at a fitted model; `again`, begin once more where the declared model turns out to have
+    been in a local minimum.
     """
     log, merging = SearchLog.begun(fitter, settings, base), Merging()
     remembers = LoopPart.REMEMBERED_FITS not in settings.without
@@ -237,10 +214,10 @@ def grow(
         log.note(now, begun, best)
         merging.note(begun, best)
         if best.won is None or best.prediction is None:
-            merged = merging.instead(fitter, now, log)
-            if merged is None:
+            single = merging.instead(fitter, now)
+            if single is None:
                 break
-            now = merged
+            now = log.accept_single(single)
             continue
         if again and not begun.model.added and _was_local(fitter, begun, best.won):
             restart = FitStart(base.problem, _declared_only(best.won), base.added)
@@ -255,7 +232,8 @@ def grow(
         if grown.model.structure in passed:
             break
         now = AcceptedStructure(grown.model, prediction, grown.rivals, best.compared)
-        now = merging.instead(fitter, now, log, whole=True) or now
+        single = merging.instead(fitter, now, whole=True)
+        now = now if single is None else log.accept_single(single)
         reached(log.result(now))
         del begun, best  # the next ones are as large
     return log.result(now)
@@ -278,10 +256,14 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
 
 
 def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, ReasonedVerdict]:
-    """Judge what was found; a function of time is an effect only where it leaves noise."""
-    settings, gone = found.settings, functions_of_time(found)
+    """Judge what was found; a function of time is an effect only where it leaves noise.
+
+    A drift or a wave in time follows the slow part of whatever disturbs an experiment: it closes
+    most of the gap to the noise, and predicts what was left out, without being what is missing.
+    """
+    gone = [c for c in found.current.added if c.form.of_time_alone]
     judged = judge(fitter, found)
-    kept = LoopPart.FUNCTIONS_OF_TIME in settings.without
+    kept = LoopPart.FUNCTIONS_OF_TIME in found.settings.without
     if judged.verdict is not Verdict.PARTIAL or not gone or kept:
         return found, judged
     places = [i for i, c in enumerate(found.current.added) if c in gone]
@@ -297,18 +279,8 @@ def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, Re
 class SearchLog:
     """The log of a search: its rounds, how far candidates came, and the structures compared.
 
-    Attributes
-    ----------
-    fitter, settings
-        Of the models, and of the search.
-    base, predicted
-        The declared model, fitted, and its leave-one-out prediction.
-    noise, floor
-        Of each output, and the sum of squares that the noise alone would leave.
-    rounds, seen, path
-        What each looked at; the candidates; the structures, with moves and gates.
-    accepted
-        The structure that each round began at.
+    It becomes the `SelectionResult`. `predicted` is of the declared model, and `floor` the sum of
+    squares that the noise alone would leave.
     """
 
     fitter: Fitter
@@ -344,11 +316,16 @@ class SearchLog:
         row = compared_structure(records, self.base, fitted, self.floor, number, move or "")
         self.path.append(row)
 
-    def accept_single(self, won: RefittedCandidate) -> None:
-        """Note that a single effect takes the place of all."""
+    def accept_single(self, end: RoundEnd) -> AcceptedStructure:
+        """Note that the single effect which has won takes the place of all."""
+        won, prediction = end.won, end.prediction
+        assert won is not None
+        assert prediction is not None
         fall = won.criterion - self.base.criterion(self.fitter.records)
         self.seen = with_single(self.seen, won, fall)
         self.accept(won.fitted, LoopPart.MERGE)
+        rivals = rivals_of(won, end.seen.contenders)
+        return AcceptedStructure(won.fitted, prediction, rivals)
 
     def result(self, now: AcceptedStructure) -> SelectionResult:
         """Return all that was found so far."""
@@ -356,48 +333,6 @@ class SearchLog:
             self.base, now.model, self.predicted, now.prediction, now.rivals, tuple(self.rounds),
             tuple(self.seen), self.noise, self.settings, tuple(self.path), tuple(self.accepted),
         )  # fmt: skip
-
-
-@dataclass
-class Merging:
-    """The move that puts a single effect in the place of all that were added, once a search.
-
-    Attributes
-    ----------
-    first
-        The start of the first round.
-    singles
-        What may take the place of several effects; None where it has not been looked for.
-    done
-        It has.
-    """
-
-    first: RoundStart | None = None
-    singles: SingleEffects | None = None
-    done: bool = False
-
-    def note(self, begun: RoundStart, end: RoundEnd) -> None:
-        """Note the first round, and curves that have been tried there and did not pass."""
-        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
-        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
-            self.singles = SingleEffects(fine=True)
-
-    def instead(
-        self, fitter: Fitter, now: AcceptedStructure, log: SearchLog, *, whole: bool = False
-    ) -> AcceptedStructure | None:
-        """Return a single effect in the place of all, if there is a better one."""
-        first = self.first
-        if self.done or first is None or not first.has(LoopPart.MERGE):
-            return None
-        if not may_be_single(first, now.model):
-            return None
-        self.singles = single_effects(fitter, first, now.model, self.singles, whole=whole)
-        single = single_instead(fitter, first, now.model, now.prediction, self.singles, whole=whole)
-        if single is None:
-            return None
-        self.done = True
-        log.accept_single(single.won)
-        return AcceptedStructure(single.won.fitted, single.prediction, single.rivals)
 
 
 def _screened(

@@ -55,7 +55,6 @@ class CandidateStage(enum.StrEnum):
     SET_ASIDE = "set aside"
     """The declared parameters confound it."""
     SCREENED = "screened"
-    TRIED = "tried"
     REFITTED = "refitted"
     ACCEPTED = "accepted"
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,6 @@ from cluster_est.closed_loop.fitter import (
     FitStart,
     FittedModel,
     Fitter,
-    PredictionFitter,
-    SimulationFitter,
     SimulationMeter,
     SyntheticKind,
     with_outputs,
@@ -31,35 +28,22 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.variables import silent_notes
-from cluster_est.running.arguments import (
-    check_method,
-    check_problem,
-    checked_resources,
-    prepared,
-)
+from cluster_est.running.arguments import check_method, check_problem
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
+from cluster_est.running.resources import one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
-from workers.messages import Experiment, Outcome, Output
+from workers.messages import Output
 from workers.messages.checks import check_kind, check_number
 
 
 @dataclass(frozen=True)
 class LoopScope:
-    """What a report says of a loop, whatever is found.
-
-    Attributes
-    ----------
-    sites
-        Those that were open.
-    notes
-        What a reader should know.
-    """
+    """What a report says of a loop, whatever is found: the open sites, and notes for the reader."""
 
     sites: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -71,12 +55,6 @@ class LoopWorkbench:
 
     Attributes
     ----------
-    fitter
-        Of the models.
-    settings
-        Of the loop.
-    scope
-        For the report.
     first_fit
         The declared model from the user's start, where that was needed before.
     near
@@ -100,12 +78,8 @@ class LoopRequest:
 
     Attributes
     ----------
-    problem
-        The declared model with its parameters and experiments.
     environment
         Workers, budget, and who is told of the simulations.
-    settings, seed
-        Sizes; the start of every random generator.
     rows
         That are left of each long record while effects are looked for; None for all.
     noise_of_samples
@@ -121,25 +95,6 @@ class LoopRequest:
     rows: int | None = None
     noise_of_samples: Mapping[str, float] = field(default_factory=dict)
     sigma_declared: bool | None = None
-
-
-def checked_request(
-    problem: Problem,
-    resources: Resources | Mapping[str, Any] | str | None,
-    settings: LoopSettings | Mapping[str, Any] | None,
-    seed: int,
-) -> LoopRequest:
-    """Return a request of what a user has handed over, checked as a config is.
-
-    Raises
-    ------
-    ProblemError
-        If something is of the wrong kind or out of its range.
-    """
-    problem = prepared(problem)
-    chosen = LoopSettings.of(settings)
-    check_arguments(problem, chosen, seed)
-    return LoopRequest(problem, RunEnvironment(checked_resources(resources)), chosen, seed)
 
 
 def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None:
@@ -169,7 +124,8 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     if request.sigma_declared is None:
         request = replace(request, sigma_declared=_declares_sigma(problem))
     weights: tuple[str, ...] = ()
-    if _unweighted(problem):
+    outputs = {o.variable for e in problem.experiments for o in e.outputs}
+    if len(outputs) > 1 and not _declares_sigma(problem):
         with _opened(request, description) as fitter:
             (fitted,) = fitter.fit(LoopStage.WEIGHTS, [FitStart(problem, {})], BRIEF)
             if fitted is not None:
@@ -199,12 +155,10 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
         installed += [copy.of(run) for run in runs]
     everything = replace(problem, experiments=tuple(installed))
     environment = request.environment
-    record = _named(everything.experiments, environment.monitor.record)
-    meter = SimulationMeter(everything.experiments, record)
+    meter = SimulationMeter(everything.experiments, environment.monitor.record)
     with one_blas_thread(), environment.executor(everything) as executor:
-        kind = PredictionFitter if noise_names(problem) else SimulationFitter
         runner = environment.runner(executor, record=meter, whole=True)
-        yield kind(
+        yield Fitter(
             runner=runner,
             problem=problem,
             description=description,
@@ -220,26 +174,8 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
         runner.forget()
 
 
-def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:
-    """A record that also hears which experiment it was: synthetic ones are not the problem's."""
-    if record is None:
-        return None
-    names = [(e.id, e.key) for e in experiments]
-
-    def named(origin: TaskOrigin, outcome: Outcome) -> None:
-        record(replace(origin, installed=names[origin.task.experiment]), outcome)
-
-    return named
-
-
 def _check_shape(problem: Problem) -> None:
-    """Refuse a problem that the tests are not made for, or with too few data.
-
-    Raises
-    ------
-    ProblemError
-        With what to change.
-    """
+    """Refuse a problem that the tests are not made for, or with too few data."""
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
             "closed loop: must have the cost sse, outputs measured over time and no constraints, "
@@ -275,13 +211,7 @@ def _check_shape(problem: Problem) -> None:
 
 
 def _check_choices(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
-    """Refuse forms and sites that there are not.
-
-    Raises
-    ------
-    ProblemError
-        With what to change.
-    """
+    """Refuse forms and sites that there are not."""
     known = sorted({name for _, name in FORMS})
     for name in settings.forms:
         if name not in known:
@@ -314,12 +244,6 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
             f"closed_loop.effects: must name a form for one of the sites but {settings.forms} are "
             f"not for {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
         )
-
-
-def _unweighted(problem: Problem) -> bool:
-    """Return whether there are several outputs, all without a sigma."""
-    outputs = {o.variable for e in problem.experiments for o in e.outputs}
-    return len(outputs) > 1 and not _declares_sigma(problem)
 
 
 def _declares_sigma(problem: Problem) -> bool:

@@ -62,6 +62,10 @@ class StackedRecords:
         """Rows of one output in all experiments, ascending."""
         return _rows(record for record in self.items if record.output == output)
 
+    def by_output(self, stacked: FloatArray) -> list[FloatArray]:
+        """The part of each output of a stacked vector."""
+        return [stacked[self.of_output(output)] for output in range(len(self.outputs))]
+
     def of_experiment(self, experiment: int) -> IntArray:
         """Rows of all outputs of one experiment, ascending."""
         return _rows(record for record in self.items if record.experiment == experiment)

@@ -19,10 +19,10 @@ from unittest.mock import patch
 
 from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
-from cluster_est.closed_loop.selection import free_curves, functions_of_time, gates, moves
+from cluster_est.closed_loop.selection import acceptance, free_curves, gates, moves
+from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.answer import without_effects
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
-from cluster_est.closed_loop.selection.prediction import is_usable
 from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
@@ -152,7 +152,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
     """By module or class, what stands in the place of its own."""
     watched, part = notes.watched, LoopPart
     siblings = watched(part.SIBLINGS, refit_siblings, lambda found, *_: bool(found))
-    admissible = watched(part.WAVES, functions_of_time.admissible, _left_out)
+    admissible = watched(part.WAVES, acceptance.admissible, _left_out)
     return {
         gates: {
             "STOPS": [replace(s, refuses=watched(s.part, s.refuses, _said)) for s in gates.STOPS],
@@ -174,7 +174,9 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "_was_local": watched(part.LOCAL_MINIMUM, search._was_local, _said),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
         },
-        search.Merging: {"instead": watched(part.MERGE, search.Merging.instead, notes.merged)},
+        free_curves.Merging: {
+            "instead": watched(part.MERGE, free_curves.Merging.instead, notes.merged)
+        },
     }
 
 

@@ -15,10 +15,10 @@ from support.problems.springs import FMU
 
 from cluster_est import Experiment, LoopSettings, Model, Output, Parameter, Problem, Result, Solver
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.fitter import FittedModel, SimulationFitter
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, ScreeningResult
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
@@ -63,10 +63,10 @@ def made_problem(*lengths: int, **more: Any) -> Problem:
     return Problem(model, (Parameter("k", 1.0, (0.0, 10.0)),), made_experiments(*lengths, **more))
 
 
-def made_fitter(problem: Problem) -> SimulationFitter:
+def made_fitter(problem: Problem) -> Fitter:
     """A fitter of its training experiments."""
     train = problem.indices("train")
-    return SimulationFitter(
+    return Fitter(
         runner=Runner(FunctionExecutor(_never)),
         problem=problem,
         description=_description(),

@@ -46,14 +46,12 @@ class OpenArguments:
 
     Attributes
     ----------
-    states
+    states, units
         Of the FMU; none in co-simulation.
     driven
         Inputs and measured signals that every experiment has.
     outputs
         Measured ones that are no states.
-    units
-        Of the states.
     pushed
         For each input the states whose derivatives it acts on, and which way: 1 or -1, or 0 where
         that changes along the data.
@@ -270,13 +268,10 @@ def variables_of(
     arguments: OpenArguments,
     leading: Collection[str] | None = None,
 ) -> list[tuple[str, ...]]:
-    """Return the variables that a form at a site may be a function of.
+    """Return the variables that a form at a site may be a function of, of all or leading arguments.
 
-    Parameters
-    ----------
-    leading
-        The arguments to look at there; None for all of them. What depends on time or on the signal
-        itself is looked at at every site but state derivatives, of which there are many.
+    What depends on time or on the signal itself is looked at at every site but state derivatives,
+    of which there are many.
     """
     if form.variables == 0:
         left_out = leading is not None and site.kind == "derivative" and TIME not in leading

@@ -16,11 +16,7 @@ import numpy as np
 import sympy as sp
 from scipy.integrate import cumulative_trapezoid
 
-from cluster_est.closed_loop.candidates.trajectory import (
-    StepMatrices,
-    propagate,
-    step_matrices,
-)
+from cluster_est.closed_loop.candidates.trajectory import StepMatrices, propagate, step_matrices
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
 from workers.effects.signal_memory import MEMORIES, SampledSignal
@@ -176,12 +172,10 @@ class FormArguments(NamedTuple):
 
 @dataclass(frozen=True)
 class ArrayForm:
-    """A form made ready for numpy.
+    """A form of the library made ready for numpy.
 
     Attributes
     ----------
-    form
-        Of the library.
     strengths
         Coefficients that switch the effect off at 0 and that the equation is smooth in there;
         empty where the effect can only be switched on by a finite amount, like a dead zone.

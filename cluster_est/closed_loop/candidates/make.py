@@ -7,6 +7,7 @@ import re
 from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import final
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from cluster_est.closed_loop.candidates.arguments import (
     variables_of,
 )
 from cluster_est.closed_loop.candidates.array_forms import shape_of
-from cluster_est.closed_loop.candidates.scales import CANDIDATES, SignalScales
+from cluster_est.closed_loop.candidates.scales import SHORTEST_TIME, SignalScales
 from cluster_est.closed_loop.candidates.trajectory import (
     CONSTANT_FACTOR,
     LinearisedTrajectory,
@@ -27,30 +28,25 @@ from cluster_est.closed_loop.candidates.trajectory import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.declared_effects import equation_text
-from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.parameter import Parameter, Scale
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.results.solver_error.finer_solver import communication_step, fixed_step
-from workers.effects.forms import (
-    FORMS,
-    EffectForm,
-    FormCoefficient,
-    GridScale,
-    positive,
-)
+from workers.effects.forms import FORMS, EffectForm, FormCoefficient, GridScale, positive
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site, unnamed_variables
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray
 
+BELOW_GRID, ABOVE_GRID = 20.0, 50.0
+"""Factors by which a refit may go beyond the grid of a positive coefficient."""
+
 
 @dataclass(frozen=True)
 class EffectCandidate:
-    """An effect that could be missing.
+    """An effect that could be missing. Two candidates with the same effect do not occur.
 
     Attributes
     ----------
-    effect, form, site
-        Of the candidate; two candidates with the same effect do not occur.
     own
         Its variable is the state at whose derivative it acts.
     grid
@@ -79,9 +75,7 @@ class EffectCandidate:
     def label(self) -> str:
         """Such as "coulomb at der(v)", or "coulomb(w) at der(v)" of a variable that is another."""
         of = "" if self.own else ", ".join(self.effect.variables)
-        return (
-            f"{self.form.name}({of}) at {self.site}" if of else f"{self.form.name} at {self.site}"
-        )
+        return f"{self.form.name}{f'({of})' if of else ''} at {self.site}"
 
     def parameters(self, values: Sequence[float]) -> tuple[Parameter, ...]:
         """Its coefficients as parameters that start from these values."""
@@ -89,16 +83,10 @@ class EffectCandidate:
         for i, coefficient in enumerate(self.form.coefficients):
             low, high = self.lowest[i], self.highest[i]
             start = float(min(max(values[i], low), high))
-            log = low > 0.0 and coefficient.name not in self.strengths
-            made.append(
-                Parameter(
-                    f"{self.effect.name}.{coefficient.name}",
-                    start,
-                    (low, high),
-                    "log" if log and not coefficient.held else "linear",
-                    fixed=coefficient.held,
-                )
-            )
+            strength, held = coefficient.name in self.strengths, coefficient.held
+            scale: Scale = "linear" if strength or held or low <= 0.0 else "log"
+            name = f"{self.effect.name}.{coefficient.name}"
+            made.append(Parameter(name, start, (low, high), scale, fixed=held))
         return tuple(made)
 
 
@@ -124,16 +112,13 @@ def make_candidates(
     scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
     known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
-    leading = by_site(places or ())
-    if places is None:
-        sites = candidate_sites(problem, description, trajectories, settings)
-    else:
-        sites = single_sites(problem, description, trajectories, settings)
-        sites += [site for site in leading if site.kind == "pair"]
+    opened, leading = OpenSites(problem, description, trajectories, settings), by_site(places or ())
+    pairs = [site for site in leading if site.kind == "pair"]
+    sites = opened.all if places is None else [*opened.single, *pairs]
     found = []
     for site in sites:
         names = None if places is None else leading.get(site, [])
-        for form in forms_at(site, problem, description, settings):
+        for form in opened.forms_at(site):
             for variables in variables_of(form, site, arguments, names):
                 candidate = _candidate(form, site, variables, scales, taken, arguments)
                 if candidate and _identity(candidate.effect) not in known:
@@ -223,87 +208,81 @@ def _bounds(
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
     if coefficient.positive:
-        low = min(values) / CANDIDATES.narrowest
+        low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:
-            low = max(low, CANDIDATES.shortest * scales.resolution)
-        return low, max(values) * CANDIDATES.widest
+            low = max(low, SHORTEST_TIME * scales.resolution)
+        return low, max(values) * ABOVE_GRID
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width
 
 
-def candidate_sites(
-    problem: Problem,
-    description: ModelDescription,
-    trajectories: Sequence[LinearisedTrajectory],
-    settings: LoopSettings,
-) -> list[EffectSite]:
-    """Return all sites, those of a user's choice if there is one."""
-    pairs = pair_sites(problem, description, trajectories, settings)
-    return [*single_sites(problem, description, trajectories, settings), *pairs]
+@final
+@dataclass(frozen=True)
+class OpenSites:
+    """The sites at which something may be missing, and the forms to try there.
 
+    Those of a user's choice, if there is one.
+    """
 
-def single_sites(
-    problem: Problem,
-    description: ModelDescription,
-    trajectories: Sequence[LinearisedTrajectory],
-    settings: LoopSettings,
-) -> list[EffectSite]:
-    """Return the sites that are no pairs of states."""
-    train = [problem.experiments[e] for e in problem.indices("train")]
-    driven = {given.variable for e in train for given in e.inputs}
-    driven = {name for name in driven if all(trajectory.has(name) for trajectory in trajectories)}
-    measured = {output.variable for e in train for output in e.outputs}
-    estimated = {p.target for p in problem.parameters if not p.fixed}
-    wanted = {
-        "derivative": _moving(description, trajectories),
-        "input": driven,
-        "parameter": estimated - set(description.states),
-        "output": set(),
-    }
-    offered = open_sites(description, problem.model.interface, measured)
-    sites = [site for site in offered if site.target in wanted[site.kind]]
-    if not noise_names(problem):  # beside a filter nothing acts on what is measured
-        sites += [EffectSite("output", name) for name in sorted(measured)]
-    return [site for site in sites if not settings.sites or str(site) in settings.sites]
+    problem: Problem
+    description: ModelDescription
+    trajectories: Sequence[LinearisedTrajectory]
+    settings: LoopSettings
 
+    @property
+    def all(self) -> list[EffectSite]:
+        return [*self.single, *self._chosen(self._pairs())]
 
-def pair_sites(
-    problem: Problem,
-    description: ModelDescription,
-    trajectories: Sequence[LinearisedTrajectory],
-    settings: LoopSettings,
-) -> list[EffectSite]:
-    """Return the pairs of states between which a force could be missing, in either order."""
-    moving = _moving(description, trajectories)
-    sites: list[EffectSite] = []
-    for site in open_pairs(description, problem.model.interface):
-        if set(site.targets) <= moving:
-            sites += [site, EffectSite("pair", *reversed(site.targets))]
-    return [site for site in sites if not settings.sites or str(site) in settings.sites]
+    @property
+    def single(self) -> list[EffectSite]:
+        """Those that are no pairs of states."""
+        problem, states = self.problem, self.description.states
+        train = [problem.experiments[e] for e in problem.indices("train")]
+        driven = {given.variable for e in train for given in e.inputs}
+        measured = {output.variable for e in train for output in e.outputs}
+        wanted = {
+            "derivative": self._moving(),
+            "input": {name for name in driven if all(each.has(name) for each in self.trajectories)},
+            "parameter": {p.target for p in problem.parameters if not p.fixed} - set(states),
+            "output": set(),
+        }
+        offered = open_sites(self.description, problem.model.interface, measured)
+        sites = [site for site in offered if site.target in wanted[site.kind]]
+        if not noise_names(problem):  # beside a filter nothing acts on what is measured
+            sites += [EffectSite("output", name) for name in sorted(measured)]
+        return self._chosen(sites)
 
+    def forms_at(self, site: EffectSite) -> list[EffectForm]:
+        """Return the forms to try at a site."""
+        forms, model = self.settings.forms, self.problem.model
+        exchange = model.interface == "model_exchange"
+        kinks = (exchange or self.description.variable_steps) and not noise_names(self.problem)
+        return [
+            form
+            for (kind, name), form in FORMS.items()
+            if kind == site.kind
+            and (name in forms if forms else not form.finer_than)
+            and (kinks or not form.memory)  # between the samples
+        ]
 
-def forms_at(
-    site: EffectSite, problem: Problem, description: ModelDescription, settings: LoopSettings
-) -> list[EffectForm]:
-    """Return the forms to try at a site, those of a user's choice if there is one."""
-    exchange = problem.model.interface == "model_exchange"
-    kinks = (exchange or description.variable_steps) and not noise_names(problem)
-    return [
-        form
-        for (kind, name), form in FORMS.items()
-        if kind == site.kind
-        and (name in settings.forms if settings.forms else not form.finer_than)
-        and (kinks or not form.memory)  # between the samples
-    ]
+    def _chosen(self, sites: Sequence[EffectSite]) -> list[EffectSite]:
+        chosen = self.settings.sites
+        return [site for site in sites if not chosen or str(site) in chosen]
 
+    def _pairs(self) -> list[EffectSite]:
+        """The pairs of states between which a force could be missing, in either order."""
+        moving = self._moving()
+        offered = open_pairs(self.description, self.problem.model.interface)
+        pairs = [site for site in offered if set(site.targets) <= moving]
+        return [
+            each for site in pairs for each in (site, EffectSite("pair", *reversed(site.targets)))
+        ]
 
-def _moving(
-    description: ModelDescription, trajectories: Sequence[LinearisedTrajectory]
-) -> set[str]:
-    """The states in whose derivative something may be missing: where dx/dt = v, nothing can be."""
-    integrated = integrated_states(trajectories)
-    exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT_FACTOR}
-    return set(description.states) - exact
+    def _moving(self) -> set[str]:
+        """The states at whose derivative something may be missing: nothing can where dx/dt = v."""
+        integrated = integrated_states(self.trajectories)
+        exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT_FACTOR}
+        return set(self.description.states) - exact
 
 
 BETWEEN = 4
@@ -326,23 +305,18 @@ def denser_grid(
     moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
     if len(moving) != 1 or len(rows) > DENSE_GRID:
         return list(candidate.grid)
-    values = _dense_values(candidate, int(moving[0]), rows[:, moving[0]], trajectories)
+    position = int(moving[0])
+    if candidate.form.coefficients[position].scale is GridScale.QUANTILE_V:
+        argument = pooled(trajectories, candidate.effect.variables[0])
+        values = np.asarray(np.quantile(argument, BEGINNINGS))
+    else:
+        values = _with_more_between(np.sort(rows[:, position]))
     dense = np.repeat(rows[:1], len(values), axis=0)
-    dense[:, moving[0]] = values
+    dense[:, position] = values
     return [tuple(row) for row in dense.tolist()]
 
 
-def _dense_values(
-    candidate: EffectCandidate,
-    position: int,
-    own: FloatArray,
-    trajectories: Sequence[LinearisedTrajectory],
-) -> FloatArray:
-    if candidate.form.coefficients[position].scale is GridScale.QUANTILE_V:
-        return np.asarray(
-            np.quantile(pooled(trajectories, candidate.effect.variables[0]), BEGINNINGS)
-        )
-    known = np.sort(own)
+def _with_more_between(known: FloatArray) -> FloatArray:
     at = np.linspace(0.0, len(known) - 1.0, (len(known) - 1) * BETWEEN + 1)
     if (known > 0.0).all():
         return np.exp(np.interp(at, np.arange(len(known)), np.log(known)))

@@ -14,31 +14,14 @@ from workers.effects.forms import EffectForm, FormCoefficient, FormCondition, Gr
 from workers.effects.site import EffectSite, split_variable
 from workers.messages import FloatArray
 
+BOTH_SIGNS = 0.15
+"""Share of its rms that a signal must reach on both sides of zero to oscillate. Benchmark."""
 
-@dataclass(frozen=True)
-class CandidateThresholds:
-    """Thresholds of the list of candidates and their grids.
-
-    Attributes
-    ----------
-    both_signs
-        Share of its rms that a signal must reach on both sides of zero to oscillate. Benchmark.
-    narrowest, widest
-        Factors by which a refit may go beyond the grid of a positive coefficient. Benchmark.
-    shortest
-        Share of the interval between measurements, or of a longer communication step, that a time
-        constant has at least, be it a lag's or that of a state which stops itself. Signal: what is
-        shorter is a gain of a slope to the data, or a hard stop, and costs a solver steps in
-        proportion (at a twentieth, 40 times the simulation of two tanks).
-    """
-
-    both_signs: float = 0.15
-    narrowest: float = 20.0
-    widest: float = 50.0
-    shortest: float = 0.1
-
-
-CANDIDATES = CandidateThresholds()
+SHORTEST_TIME = 0.1
+"""Share of the interval between measurements, or of a longer communication step, that a time
+constant has at least, be it a lag's or that of a state which stops itself. Signal: what is shorter
+is a gain of a slope to the data, or a hard stop, and costs a solver steps in proportion (at a
+twentieth, 40 times the simulation of two tanks)."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +130,7 @@ class SignalScales:
         places = [linear.state_names.index(state) for linear in linears]
         pairs = zip(linears, places, strict=True)
         rates = [float(np.abs(linear.A.row(place)[:, place]).max()) for linear, place in pairs]
-        return max(1.0 / self.resolution, *rates, 0.0) / CANDIDATES.shortest
+        return max(1.0 / self.resolution, *rates, 0.0) / SHORTEST_TIME
 
     def _begins(self, name: str) -> bool:
         """Return whether a signal is not zero at the start of some experiment."""
@@ -232,7 +215,7 @@ def _positive(signal: FloatArray) -> bool:
 
 def oscillates(signal: FloatArray) -> bool:
     """Return whether a signal takes both signs clearly."""
-    reach = CANDIDATES.both_signs * float(np.sqrt(np.mean(signal**2)))
+    reach = BOTH_SIGNS * float(np.sqrt(np.mean(signal**2)))
     return bool(signal.min() < -reach and signal.max() > reach)
 
 

@@ -31,24 +31,19 @@ of a solver. Signal."""
 
 @dataclass(frozen=True)
 class LinearisedTrajectory:
-    """One experiment along the current fit.
+    """One experiment along the current fit, of n times and k residuals.
 
     Attributes
     ----------
-    times : (n,)
     signals
         Everything that an effect may be a function of, by its FMU name, each (n,): states (model
         exchange), inputs as they reach the FMU, measured signals, outputs.
-    outputs : (n, y)
+    outputs, names : (n, y)
         In model exchange before effects at outputs, in co-simulation behind them.
-    names
-        Of the outputs.
     linear
         The linear time-varying system along it; None in co-simulation.
-    rows, columns : (k,)
-        Place of each residual in `outputs`.
-    sigmas : (k,)
-        Divisor of each residual.
+    rows, columns, sigmas : (k,)
+        Place of each residual in `outputs`, and its divisor.
     driven
         The inputs as they were measured, at the same times; in `signals` they are as effects have
         changed them.
@@ -150,17 +145,13 @@ def integrated_states(
 ) -> dict[str, tuple[str, float]]:
     """Find the states x with dx/dt = c v, where v is another state and c a constant.
 
-    Parameters
-    ----------
-    trajectories
-        The first one with a linear system is looked at: the equations are those of all.
-
     Returns
     -------
     dict
         v and c by x: its speed and 1 for an angle, that of a wheel and its radius for a way.
     """
     found: dict[str, tuple[str, float]] = {}
+    # the equations are those of all experiments
     linear = next((each.linear for each in trajectories if each.linear is not None), None)
     if linear is None:
         return found
@@ -186,9 +177,9 @@ TERMS = 12
 
 @dataclass(frozen=True)
 class StepMatrices:
-    """A system in discrete time: dx' = keep dx + from_first f + from_last f'.
+    """A system in discrete time, (x, x) of one step or (n - 1, x, x) of all.
 
-    Each is (x, x) for one step, and (n - 1, x, x) for all of them.
+    dx' = keep dx + from_first f + from_last f'
     """
 
     keep: FloatArray
@@ -205,10 +196,7 @@ def step_matrices(a: FloatArray, h: float | FloatArray) -> StepMatrices:
 
     Parameters
     ----------
-    a : (x, x)
-        Or (n, x, x), of each step its own.
-    h
-        The step, or (n,) steps.
+    a, h : (x, x), or (n, x, x), of each step its own; the step, or (n,) steps
     """
     h = np.asarray(h)[..., None, None]
     eye: npt.NDArray[np.float64] = np.eye(a.shape[-1])
@@ -228,18 +216,7 @@ def step_matrices(a: FloatArray, h: float | FloatArray) -> StepMatrices:
 
 
 def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
-    """Integrate d(dx)/dt = A dx + f from dx = 0.
-
-    Parameters
-    ----------
-    forcing : (n, x, m)
-        m right-hand sides at every time of the grid, linear in between. The states take their
-        place.
-
-    Returns
-    -------
-    (n, x, m)
-    """
+    """Integrate d(dx)/dt = A dx + f from dx = 0, for m right-hand sides at all times: (n, x, m)."""
     return run_recursion("core_run_linear", steps, forcing)
 
 
@@ -323,12 +300,11 @@ FEW_VALUES, MANY_VALUES = 2_000_000, 12_000_000
 
 @dataclass(frozen=True)
 class Forcing:
-    """Forcings of a linear system, each an amount along a direction among its states.
+    """m forcings of a linear system, each an amount along a direction among its states.
 
     Attributes
     ----------
     amounts : (n, m)
-        Of m forcings.
     directions
         A state, by its index, or a direction that changes with time, (n, x).
     which : (m,)
@@ -352,16 +328,9 @@ class LinearSystem(ABC):
 
     @abstractmethod
     def weigh(self, source: FloatArray) -> FloatArray:
-        """Integrate the adjoint backwards: what a forcing at any state weighs with.
+        """(n, x, m): what a forcing at any state weighs with in m weightings of the states.
 
-        Parameters
-        ----------
-        source : (n, x, m)
-            m weightings of the states; it may be overwritten.
-
-        Returns
-        -------
-        (n, x, m)
+        The adjoint is integrated backwards. `source`, (n, x, m), may be overwritten.
         """
 
 

@@ -60,10 +60,9 @@ def with_probabilities(
     declared = ComparedStructure(0, (), 0.0, 0.0, converged=True, accepted=False)
     rows = [*path, declared]
     best = best_rows(rows)
-    priced = [
-        rows[number].criterion + choice * len(rows[number].effects) for number in best.values()
-    ]
-    criteria = np.array(priced) / CRITERION_SCALE
+    kept = [rows[number] for number in best.values()]
+    criteria = np.array([row.criterion + choice * len(row.effects) for row in kept])
+    criteria /= CRITERION_SCALE
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     known = dict(zip(best.values(), (weights / np.add.reduce(weights)).tolist(), strict=True))
     return tuple(
@@ -128,10 +127,8 @@ class CompetingModel:
     ----------
     name
         The labels of its effects.
-    problem
-        With its effects, on the experiments of the run.
-    values
-        Estimates by label.
+    problem, values
+        With its effects, on the experiments of the run; estimates by label.
     criterion
         Bayesian information criterion with the price of the choice, less that of what was found.
     weight
@@ -216,14 +213,9 @@ STREAM = 7
 
 @dataclass(frozen=True)
 class ResampledChoices:
-    """The shares of draws in which sets of effects are chosen.
+    """The shares of draws in which sets of effects are chosen, by the labels of these.
 
-    Attributes
-    ----------
-    drawn
-        What was drawn, in words.
-    shares
-        By the labels of a set's effects.
+    `drawn` says what was drawn.
     """
 
     drawn: str

@@ -18,7 +18,7 @@ from cluster_est.closed_loop.findings.effects import (
 from cluster_est.closed_loop.findings.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.unexplained import varying_columns
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.selection.functions_of_time import period_of, residuals_without
+from cluster_est.closed_loop.selection.acceptance import period_of, residuals_without
 from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import CandidateStage
@@ -204,18 +204,10 @@ def _alternatives(
                 output=output,
                 time=when,
                 difference=size,
-                words=namer.name(other, _strengths(rival), None).words,
+                words=namer.name(other, rival.fitted.coefficients(other), None).words,
             )
         )
     return tuple(made)
-
-
-def _strengths(rival: RefittedCandidate) -> list[float]:
-    """The coefficients of a rival where its refit ended, those that are held among them."""
-    values = {p.name: p.start for p in rival.fitted.problem.parameters} | rival.fitted.estimates
-    name = rival.candidate.effect.name
-    labels = [f"{name}.{c.name}" for c in rival.candidate.form.coefficients]
-    return [values[label] for label in labels if label in values]
 
 
 def _largest_difference(

@@ -13,17 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import (
-    Forcing,
     LinearisedTrajectory,
     hats,
     integrated_states,
     knots_over,
-    linear_system,
     pooled,
 )
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.screening.directions import coupling
+from cluster_est.closed_loop.screening.directions import residual_change
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
@@ -36,11 +34,8 @@ from workers.messages import FloatArray
 def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[EffectCurve, ...]:
     """Compute the curves of all effects of a model that the loop has added to.
 
-    Parameters
-    ----------
-    fitter, fitted
-        The model with the effects, where the search ended: its experiments are simulated once more,
-        for the range of their signals and for the directions of free values.
+    Its experiments are simulated once more where the search ended, for the range of their signals
+    and for the directions of free values.
     """
     if not fitted.added:
         return ()
@@ -115,8 +110,6 @@ def free_values(
 
     Parameters
     ----------
-    site
-        Where it acts; at pairs of derivatives nothing is fitted.
     arguments : (n,) for each trajectory
         None where an experiment does not have it.
     residuals : (N,)
@@ -125,7 +118,7 @@ def free_values(
     Returns
     -------
     Places of the argument, values and their standard errors as of white noise, each (places,); None
-    where the site or the interface does not allow it.
+    where the site, as a pair of derivatives, or the interface does not allow it.
     """
     if site.kind == "pair" or (site.kind != "output" and trajectories[0].linear is None):
         return None
@@ -133,10 +126,10 @@ def free_values(
     if not len(known) or not np.ptp(known) > 0.0:
         return None
     at = knots_over(known, PLACES)
-    parts = [
-        _directions(site, each, np.zeros((len(each.times), len(at))) if v is None else hats(at, v))
-        for each, v in zip(trajectories, arguments, strict=True)
-    ]
+    parts = []
+    for each, values in zip(trajectories, arguments, strict=True):
+        added = np.zeros((len(each.times), len(at))) if values is None else hats(at, values)
+        parts.append(residual_change(each, site, added))
     direction = np.concatenate(parts)
     sizes = np.einsum("ij,ij->j", direction, direction)
     kept = sizes > DETERMINED * sizes.max()
@@ -150,29 +143,6 @@ def free_values(
     variance = float(left @ left) / (len(residuals) - int(kept.sum()))
     inverse = np.linalg.inv(r)
     return at[kept], found, np.sqrt(variance * np.einsum("ij,ij->i", inverse, inverse))
-
-
-def _directions(
-    site: EffectSite, trajectory: LinearisedTrajectory, added: FloatArray
-) -> FloatArray:
-    """(k, places): how the residuals of an experiment change with what is added at a site."""
-    count = added.shape[1]
-    change = np.zeros((*trajectory.outputs.shape, count))
-    if site.kind == "output":
-        if site.target in trajectory.names:
-            change[:, trajectory.names.index(site.target)] += added
-        return trajectory.residual_change(change)
-    linear = trajectory.linear
-    if linear is None:
-        raise ValueError(f"{site} has no direction without a linearisation")
-    into: int | FloatArray
-    if site.kind == "derivative":
-        into = linear.state_names.index(site.target)
-    else:
-        into, through = coupling(linear, site)
-        change += through[:, :, None] * added[:, None, :]
-    forcing = Forcing(added, [into], np.zeros(count, int))
-    return trajectory.residual_change(change + linear_system(linear).respond(forcing))
 
 
 Shape = Callable[[FloatArray], FloatArray]
@@ -226,7 +196,8 @@ def agreements(
     own, named
         The law of the effect, and what physics calls another one at its place.
     """
-    x, weights = _visited(curve)
+    visited = curve.counts > 0.0
+    x, weights = 0.5 * (curve.edges[1:] + curve.edges[:-1])[visited], curve.counts[visited]
     y = shape(x)
     size = float(np.abs(y).max(initial=0.0))
     if len(x) < 3 or curve.variable == "time" or not np.isfinite(y).all() or not size > 0.0:
@@ -240,22 +211,15 @@ def agreements(
             continue
         strength = float(np.sum(weights * column * y)) / square
         off = np.abs(y - strength * column)
-        apart = float(np.sqrt(np.average(off**2, weights=weights)))
-        if apart > error or off.max() > CLOSE * size:
+        apart, largest = float(np.sqrt(np.average(off**2, weights=weights))), float(off.max())
+        if apart > error or largest > CLOSE * size:
             continue
         told = _told_apart(curve, shape, other, strength, size, negative=negative)
         if told is not None:
-            largest = float(off.max())
             equation = f"{strength:.4g} * {text.format(v=bracketed(curve.variable))}"
             known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
             found.append((apart, AgreeingEquation(*known, *told)))
     return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST_AGREEING])
-
-
-def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
-    """Middles of the bins that have samples, and how many."""
-    middles = 0.5 * (curve.edges[1:] + curve.edges[:-1])
-    return middles[curve.counts > 0.0], curve.counts[curve.counts > 0.0]
 
 
 def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> float:

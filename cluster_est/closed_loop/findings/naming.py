@@ -52,21 +52,13 @@ MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
 
 @dataclass(frozen=True)
 class EffectName:
-    """The name of an effect.
+    """The name of an effect, and what it was read from.
 
-    Attributes
-    ----------
-    words
-        "viscous friction", or "a term quadratic in v" where the units do not say what it is.
-    placed
-        What it was read from.
-    physical
-        It is one of physics.
+    "Viscous friction", or "a term quadratic in v" where the units do not say what it is.
     """
 
     words: str
     placed: PlacedLaw
-    physical: bool
 
     def of_law(self, law: Law) -> str:
         """Return what physics calls another law at the same place; "" if nothing."""
@@ -74,13 +66,7 @@ class EffectName:
 
 
 class Namer:
-    """Names effects of one model.
-
-    Parameters
-    ----------
-    description, units
-        Of the FMU, and what a config says of its units.
-    """
+    """Names effects of one model, by its FMU and what a config says of its units."""
 
     def __init__(self, description: ModelDescription, units: Mapping[str, str]) -> None:
         self.units = KnownUnits(description, units)
@@ -89,13 +75,7 @@ class Namer:
     def name(
         self, candidate: EffectCandidate, values: Sequence[float], curve: EffectCurve | None
     ) -> EffectName:
-        """Name an effect.
-
-        Parameters
-        ----------
-        curve
-            What it adds over its variable; None, or without points, where that is not known.
-        """
+        """Name an effect, by its coefficients and the curve of what it adds, where there is one."""
         law, site = candidate.form.law, candidate.site
         variables = variables_of_effect(candidate)
         known: list[Dimension | None] = [self.units.of(name) for name in variables]
@@ -118,7 +98,7 @@ class Namer:
         )
         physics = physics_of(placed).format(w=bracketed(variables[-1]) if variables else "")
         words = physics or _in_mathematics(law, site, variables)
-        return EffectName(words, placed, bool(physics))
+        return EffectName(words, placed)
 
     def may_be_negative(self, variable: str) -> bool:
         """Return whether a variable can be below zero: an amount, for one, cannot."""
@@ -254,17 +234,13 @@ class PlacedLaw:
 
     Attributes
     ----------
-    law, kind
-        The law, and the kind of its site.
-    site
-        Dimension of the state whose rate it changes, or of the signal.
+    kind, site
+        Of its site, and the dimension of the state whose rate it changes, or of the signal.
     argument, second
         Dimensions of its variables; None where there is none or its unit is unknown.
-    own
-        Its variable is what it changes: the state of the rate, the difference of the pair, or a
-        state that the input is known to push, and in which direction.
-    own_position
-        Its variable is the integral of what it changes.
+    own, own_position
+        Its variable is what it changes (the state of the rate, the difference of the pair, or a
+        state that the input is known to push, and in which direction), or the integral of that.
     loss, gain
         It takes from what it changes where its variable is positive, or beyond a threshold, and
         gives where that is negative; or the other way round.

@@ -52,7 +52,7 @@ class ErrorScale(enum.StrEnum):
 @by_content
 @dataclass(frozen=True, repr=False)
 class LoopResult(ResultView):
-    """The result of a closed loop.
+    """The result of a closed loop. What it shares with a `Result` is that of the last fit.
 
     Attributes
     ----------
@@ -145,7 +145,6 @@ class LoopResult(ResultView):
 
     @property
     def problem(self) -> Problem:
-        """With the effects that were added."""
         return self.after.problem
 
     @property
@@ -160,17 +159,14 @@ class LoopResult(ResultView):
 
     @property
     def cost(self) -> float:
-        """Of the training experiments, with the effects."""
         return self.after.cost
 
     @property
     def fun(self) -> FloatArray | None:
-        """Residuals of the training experiments, with the effects; see `Result.fun`."""
         return self.after.fun
 
     @property
     def jac(self) -> FloatArray | None:
-        """Of the last fit, with the effects; see `Result.jac`."""
         return self.after.jac
 
     @property
@@ -180,7 +176,6 @@ class LoopResult(ResultView):
 
     @property
     def nit(self) -> int:
-        """Iterations of the last fit."""
         return self.after.nit
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,15 +74,8 @@ class UnexplainedResidual:
 def unexplained_residuals(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[UnexplainedResidual, ...]:
-    """Describe what a fit leaves of each output beyond its noise; the largest first.
-
-    Parameters
-    ----------
-    noise : (outputs,)
-        Standard deviations of the noise, in units of the residual.
-    """
-    records = fitter.records
-    sigmas = fitter.sigmas
+    """Describe what a fit leaves of each output beyond its noise, (outputs,); the largest first."""
+    records, sigmas = fitter.records, fitter.sigmas
     found = []
     for number, name in enumerate(records.outputs):
         own = [item for item in records.items if item.output == number]
@@ -183,10 +176,8 @@ class VaryingColumn:
 
     Attributes
     ----------
-    column, output
-        Names of the column, and of the output whose residual it varies with.
     share
-        Of the residual's variance that the column carries, at once and late.
+        Of the variance of the output's residual that the column carries, at once and late.
     p
         The probability of as much by chance among all columns and outputs that were looked at; NaN
         where only the period is the same.
@@ -226,14 +217,8 @@ def varying_columns(
 ) -> tuple[VaryingColumn, ...]:
     """Name unused columns that vary with a residual, by more than chance; the surest first.
 
-    Where there are none and the residual has a period, columns with the same one are named.
-
-    Parameters
-    ----------
-    significance
-        The largest p-value, corrected for all columns and outputs, of a column that is named.
-    period
-        Of what is looked for, in seconds; NaN for none.
+    Their p-values, corrected for all columns and outputs, are not above the significance. Where
+    there are none and the residual has a period, in seconds, columns with the same one are named.
     """
     tables = _tables(fitter)
     names = _common(tables)
@@ -253,7 +238,7 @@ def varying_columns(
         found = [
             VaryingColumn(name, "", np.nan, period=period)
             for name in names
-            if _has_period(fitter, tables, residuals, name, period)
+            if _has_period(_pairs(fitter, tables, residuals, 0, name), period)
         ]
     best: dict[str, VaryingColumn] = {}
     for each in sorted(found, key=lambda c: (np.nan_to_num(c.p), -np.nan_to_num(c.share))):
@@ -272,27 +257,22 @@ class _Pair:
     driving: dict[str, FloatArray]
 
 
-def _tables(fitter: Fitter) -> dict[int, UnusedColumns]:
-    """Unused columns of the training experiments, by position; none if one has no table."""
+def _tables(fitter: Fitter) -> list[UnusedColumns]:
+    """Unused columns of each training experiment; none if one has no table."""
     sources = {source.experiment: source for source in fitter.problem.tables}
     ids = [run.record_id for run in fitter.runs]
-    if not all(name in sources for name in ids):
-        return {}
-    return {i: sources[name].unused() for i, name in enumerate(ids)}
+    return [sources[name].unused() for name in ids] if all(n in sources for n in ids) else []
 
 
-def _common(tables: Mapping[int, UnusedColumns]) -> list[str]:
+def _common(tables: Sequence[UnusedColumns]) -> list[str]:
     """Columns that every table has, in the order of the first."""
-    first = next(iter(tables.values()), None)
-    if first is None:
-        return []
-    names = [n for n in first.values if all(n in each.values for each in tables.values())]
-    return names[:MOST_COLUMNS]
+    first = tables[0].values if tables else ()
+    return [n for n in first if all(n in each.values for each in tables)][:MOST_COLUMNS]
 
 
 def _pairs(
     fitter: Fitter,
-    tables: Mapping[int, UnusedColumns],
+    tables: Sequence[UnusedColumns],
     residuals: FloatArray,
     output: int,
     name: str,
@@ -324,23 +304,12 @@ def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:
     used = [(e.times, e.values) for e in (*experiment.inputs, *experiment.signals)]
     used += [(o.times, o.values) for o in experiment.outputs if len(o.times)]
     series = [times, *(np.interp(times, when, values) for when, values in used)]
-    for other in series:
-        if np.ptp(x) == 0.0 or np.ptp(other) == 0.0:
-            continue
-        if abs(float(np.corrcoef(x, other)[0, 1])) > COPY:
-            return True
-    return False
+    moving = [other for other in series if np.ptp(x) > 0.0 and np.ptp(other) > 0.0]
+    return any(abs(float(np.corrcoef(x, other)[0, 1])) > COPY for other in moving)
 
 
-def _has_period(
-    fitter: Fitter,
-    tables: Mapping[int, UnusedColumns],
-    residuals: FloatArray,
-    name: str,
-    period: float,
-) -> bool:
+def _has_period(pairs: Sequence[_Pair], period: float) -> bool:
     """Return whether most of a column is a wave of this period, in every record."""
-    pairs = _pairs(fitter, tables, residuals, 0, name)
     long = [pair for pair in pairs if np.ptp(pair.times) >= SWINGS * period]
     shares = [periodic_share(pair.column, pair.times, period) for pair in long]
     return bool(long) and min(shares) >= PERIODIC

@@ -60,20 +60,16 @@ class ReasonedVerdict:
 
     Attributes
     ----------
-    verdict, reason
-    closed
-        Share of the gap to the noise that the effects close on the training experiments.
-    least
-        Share that they must close on held-out data.
-    declared
-        A sigma is declared.
+    closed, least
+        Share of the gap to the noise that the effects close on the training experiments, and that
+        they must close on held-out data.
+    declared, filtered
+        A sigma is declared; errors are innovations of a filter.
     noise
         Of outputs whose declared sigma is far too large, the noise, in units of that sigma.
     floor
         Error that the noise alone makes, over what errors are compared with: above 1 where a
         declared sigma is far too small.
-    filtered
-        Errors are innovations of a filter.
     independent
         Share of the samples that are independent: fewer than all where residuals have a memory.
     """
@@ -342,11 +338,11 @@ def _residual(
 
 def _excess(fitter: Fitter, fitted: FittedModel, noise: FloatArray) -> float:
     """Squares over those of the noise, less 1: of all outputs, or of the one with the most."""
-    rows = [fitter.records.of_output(o) for o in range(len(fitter.records.outputs))]
+    parts = fitter.records.by_output(fitted.residuals)
     alone = [
-        float(np.mean(fitted.residuals[own] ** 2) / level**2)
-        for own, level in zip(rows, noise.tolist(), strict=True)
-        if len(own) and level > 0.0
+        float(np.mean(part**2) / level**2)
+        for part, level in zip(parts, noise.tolist(), strict=True)
+        if len(part) and level > 0.0
     ]
     return max(fitted.sse / fitter.noise_floor(noise), *alone, 0.0) - 1.0
 

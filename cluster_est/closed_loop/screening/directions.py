@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -77,20 +78,19 @@ def directions(
     if not trials:
         return []
     stops = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
-    count = len(trials)
-
-    def telling(before: int) -> Callable[[int], None]:
-        return lambda done: told(before + done, len(trajectories) * count)
-
-    parts = [
-        _of_trajectory(trajectory, trials, values, _within(rows, *ends), telling(e * count))
-        for e, (trajectory, values, ends) in enumerate(
-            zip(trajectories, known, pairwise(stops), strict=True)
-        )
-    ]
+    count, whole = len(trials), len(trials) * len(trajectories)
+    parts = []
+    for e, (trajectory, values) in enumerate(zip(trajectories, known, strict=True)):
+        kept = _within(rows, stops[e], stops[e + 1])
+        heard = partial(_hear, told, e * count, whole)
+        parts.append(_of_trajectory(trajectory, trials, values, kept, heard))
     joined = np.concatenate(parts)
     ends = np.cumsum([0, *(trial.width for trial in trials)])
     return [joined[:, a:b] for a, b in pairwise(ends)]
+
+
+def _hear(told: Told, before: int, of: int, done: int) -> None:
+    told(before + done, of)
 
 
 def _within(rows: IntArray | None, start: int, stop: int) -> IntArray | slice:
@@ -132,45 +132,91 @@ def _of_block(
     trials: Sequence[CandidatePoint],
     known: FloatArray,
 ) -> FloatArray:
-    count = sum(trial.width for trial in trials)
-    change = np.zeros((*trajectory.outputs.shape, count))
-    forced = _ForcedColumns()
+    changes = _Changes(trajectory, sum(trial.width for trial in trials))
     first = 0
     for trial in trials:
         columns = np.arange(first, first + trial.width)
         first += trial.width
-        site = trial.candidate.site
-        if site.kind == "output" and site.target not in trajectory.names:
-            continue  # not measured in this experiment
-        _place(trajectory, trial, added_at(trajectory, trial, known), columns, change, forced)
-    if system is not None and forced.columns:
-        responses = system.respond(forced.forcing())
-        for i, column in enumerate(forced.columns):  # one may act on two states
-            change[:, :, column] += responses[:, :, i]
-    return trajectory.residual_change(change)
+        site, shape = trial.candidate.site, shape_of(trial.candidate.form)
+        if not changes.sees(site):
+            continue
+        added = added_at(trajectory, trial, known)
+        if shape.mirrored:
+            back = shape.reactions(*_arguments(trajectory, trial, np.zeros(0)))
+            for target, amounts in zip(site.targets, (added, back), strict=True):
+                changes.force(target, columns, amounts)
+        else:
+            changes.add(site, columns, added)
+    return changes.of_residuals(system)
 
 
-class _ForcedColumns:
-    """Columns that act on the states, each along a direction that is kept once."""
+def residual_change(
+    trajectory: LinearisedTrajectory, site: EffectSite, added: FloatArray
+) -> FloatArray:
+    """(k, m): how the residuals of an experiment change with what is added at a site, (n, m)."""
+    changes = _Changes(trajectory, added.shape[1])
+    if changes.sees(site):
+        changes.add(site, np.arange(added.shape[1]), added)
+    linear = None if site.kind == "output" else trajectory.linear
+    return changes.of_residuals(None if linear is None else linear_system(linear))
 
-    def __init__(self) -> None:
-        self.columns: list[int] = []
+
+class _Changes:
+    """Columns of changes along one experiment: of its outputs at once, and of its states."""
+
+    def __init__(self, trajectory: LinearisedTrajectory, count: int) -> None:
+        self._trajectory = trajectory
+        self._outputs = np.zeros((*trajectory.outputs.shape, count))
+        self._columns: list[int] = []
         self._amounts: list[FloatArray] = []
         self._which: list[int] = []
-        self._directions: dict[int | str, int | FloatArray] = {}
+        self._directions: dict[str, int | FloatArray] = {}
 
-    def add(
-        self, name: int | str, direction: int | FloatArray, columns: IntArray, amounts: FloatArray
+    def sees(self, site: EffectSite) -> bool:
+        """Return whether the experiment measures what is changed, if that is an output."""
+        return site.kind != "output" or site.target in self._trajectory.names
+
+    def add(self, site: EffectSite, columns: IntArray, added: FloatArray) -> None:
+        """Add at a site; at a pair each column acts on one of the states."""
+        if site.kind == "output":
+            self._outputs[:, self._trajectory.names.index(site.target), columns] += added
+        elif site.kind == "derivative":
+            self.force(site.target, columns, added)
+        elif site.kind == "pair":
+            for i, target in enumerate(site.targets):
+                self.force(target, columns[i : i + 1], added[:, i : i + 1])
+        else:
+            into, through = coupling(self._linear(site), site)
+            self._along(str(site), into, columns, added)
+            self._outputs[:, :, columns] += through[:, :, None] * added[:, None, :]
+
+    def force(self, state: str, columns: IntArray, amounts: FloatArray) -> None:
+        """Add to the derivative of a state."""
+        self._along(state, self._linear(state).state_names.index(state), columns, amounts)
+
+    def of_residuals(self, system: LinearSystem | None) -> FloatArray:
+        """(k, columns): the changes of the residuals."""
+        if system is not None and self._columns:
+            which = np.array(self._which, int)
+            forcing = Forcing(np.hstack(self._amounts), list(self._directions.values()), which)
+            responses = system.respond(forcing)
+            for i, column in enumerate(self._columns):  # one may act on two states
+                self._outputs[:, :, column] += responses[:, :, i]
+        return self._trajectory.residual_change(self._outputs)
+
+    def _along(
+        self, name: str, direction: int | FloatArray, columns: IntArray, amounts: FloatArray
     ) -> None:
-        """Add columns along a direction; whatever has the same name is the same direction."""
+        """Force along a direction; whatever has the same name is the same direction."""
         self._directions.setdefault(name, direction)
         self._which += [list(self._directions).index(name)] * len(columns)
-        self.columns += columns.tolist()
+        self._columns += columns.tolist()
         self._amounts.append(amounts)
 
-    def forcing(self) -> Forcing:
-        which = np.array(self._which, int)
-        return Forcing(np.hstack(self._amounts), list(self._directions.values()), which)
+    def _linear(self, where: object) -> Linearisation:
+        if self._trajectory.linear is None:
+            raise ValueError(f"{where} has no direction without a linearisation")
+        return self._trajectory.linear
 
 
 def added_at(
@@ -200,39 +246,6 @@ def _arguments(
     return FormArguments(trajectory.times, s, v, w), values
 
 
-def _place(
-    trajectory: LinearisedTrajectory,
-    trial: CandidatePoint,
-    added: FloatArray,
-    columns: IntArray,
-    change: FloatArray,
-    forced: _ForcedColumns,
-) -> None:
-    """Let what is added act on the states, on the outputs, or on both."""
-    site, linear = trial.candidate.site, trajectory.linear
-    if site.kind == "output":
-        change[:, trajectory.names.index(site.target), columns] += added
-        return
-    if linear is None:
-        raise ValueError(f"{site} has no direction without a linearisation")
-    shape = shape_of(trial.candidate.form)
-    if shape.mirrored:
-        both = added, shape.reactions(*_arguments(trajectory, trial, np.zeros(0)))
-        for target, amounts in zip(site.targets, both, strict=True):
-            state = linear.state_names.index(target)
-            forced.add(state, state, columns, amounts)
-        return
-    if site.kind in ("derivative", "pair"):
-        for i, target in enumerate(site.targets):
-            which = slice(None) if site.kind == "derivative" else slice(i, i + 1)
-            state = linear.state_names.index(target)
-            forced.add(state, state, columns[which], added[:, which])
-        return
-    into, through = coupling(linear, site)
-    forced.add(str(site), into, columns, added)
-    change[:, :, columns] += through[:, :, None] * added[:, None, :]
-
-
 def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, FloatArray]:
     """(n, x) and (n, y): how an input or a parameter acts on the states and on the outputs."""
     if site.kind == "input":
@@ -254,9 +267,8 @@ def probe(
     effect that can only be switched on by a finite amount is, by its whole amount.
     """
     asked, amounts = [], []
-    amount = PROBE_AMOUNT
     for trial in trials:
-        rows, steps = _switched(trial, trajectories, amount)
+        rows, steps = _switched(trial, trajectories)
         start = fitted.start.plus(trial.candidate, trial.values)
         space = fitter.space(start)
         points = np.array([_point(fitted, space.unknowns, trial, row) for row in rows])
@@ -274,22 +286,18 @@ def probe(
 
 
 def _switched(
-    trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory], amount: float
+    trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]
 ) -> tuple[list[FloatArray], list[float]]:
     """Coefficients for each column, and what its change is to be divided by."""
-    candidate = trial.candidate
-    values = np.array(trial.values)
-    if not candidate.strengths:
-        return [values], [1.0]
-    rows, steps = [], []
-    for i, coefficient in enumerate(candidate.form.coefficients):
-        if coefficient.name in candidate.strengths:
-            step = amount * _size(trial, trajectories)
-            row = values.copy()
-            row[i] = step
-            rows.append(row)
-            steps.append(step)
-    return rows, steps
+    names = [c.name for c in trial.candidate.form.coefficients]
+    strengths = [i for i, name in enumerate(names) if name in trial.candidate.strengths]
+    if not strengths:
+        return [np.array(trial.values)], [1.0]
+    step = PROBE_AMOUNT * _size(trial, trajectories)
+    rows = [np.array(trial.values) for _ in strengths]
+    for row, i in zip(rows, strengths, strict=True):
+        row[i] = step
+    return rows, [step] * len(rows)
 
 
 def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -> float:

@@ -11,14 +11,14 @@ Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
+from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace, by_site
 from cluster_est.closed_loop.candidates.trajectory import (
     LinearisedTrajectory,
     hats,
@@ -42,40 +42,27 @@ class PlaceThresholds:
         Candidates above which only those at leading places are looked at. Memory: see `most_rows`.
     leading
         Places that are looked at. Benchmark.
-    hats
-        Coefficients of the curve that stands for every form. Benchmark.
-    weightings
-        Random weightings that estimate the size of a direction. Theory: the relative error of a
-        squared length is the square root of 2 over their number.
     """
 
     most_candidates: int = 1500
     leading: int = 40
-    hats: int = 9
-    weightings: int = 96
 
 
 LEADING_PLACES = PlaceThresholds()
 
+HATS = 9
+"""Coefficients of the curve that stands for every form."""
+WEIGHTINGS = 96
+"""Random weightings that estimate the size of a direction: the relative error of its square is the
+root of 2 over their number."""
 COLUMN_PENALTY = 8.0
 """Rise of the statistic that each further column of a candidate, or coefficient of a curve, must
 bring to be ranked as high. Benchmark; its mean is 1 where the column means nothing (theory:
 chi-squared)."""
 
 
-SITES_AT_ONCE = 16
-"""In one product of matrices: all of some hundred states would be a product as large as its sum."""
-
 DEPENDENT = 1e-6
 """Smallest eigenvalue of D'D, over the largest, of a direction that counts: knots may coincide."""
-
-
-@dataclass(frozen=True)
-class RankedPlace:
-    """A place, and the statistic of a free curve there, less the price of its coefficients."""
-
-    place: CandidatePlace
-    statistic: float
 
 
 def rank_places(
@@ -84,8 +71,7 @@ def rank_places(
     residual: ProjectedResidual,
     frequencies: Sequence[float],
     generator: np.random.Generator,
-    thresholds: PlaceThresholds,
-) -> list[RankedPlace]:
+) -> list[CandidatePlace]:
     """Order places by what a free curve there would explain of the residual, the most first.
 
     Parameters
@@ -95,74 +81,54 @@ def rank_places(
     """
     if not places:
         return []
-    draws = generator.standard_normal((len(residual.residuals), thresholds.weightings))
+    draws = generator.standard_normal((len(residual.residuals), WEIGHTINGS))
     weights = residual.projection.remove(np.column_stack([residual.residuals, draws]))
     variance = float(np.sum(weights[:, 0] ** 2)) / max(residual.projection.degrees, 1)
     names = dict.fromkeys(place.argument for place in places)
-    waves = tuple(frequencies)[: (thresholds.hats - 2) // 2]
-    curves = {n: FreeCurve.over(n, trajectories, waves, thresholds.hats) for n in names}
-    groups = _grouped(places)
-    products = [np.zeros(group.shape(curves, weights.shape[1])) for group in groups]
+    waves = tuple(frequencies)[: (HATS - 2) // 2]
+    curves = {n: FreeCurve.over(n, trajectories, waves) for n in names}
+    sites = {site: tuple(names) for site, names in by_site(places).items()}
+    products: dict[EffectSite, FloatArray] = {}
     ends = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
     for trajectory, (start, stop) in zip(trajectories, pairwise(ends), strict=True):
         signals = adjoint_signals(trajectory, weights[start:stop])
         columns = {name: curve.columns(trajectory) for name, curve in curves.items()}
-        for group, product in zip(groups, products, strict=True):
-            drawn = np.hstack([columns[name] for name in group.names])
-            first = 0
-            for k in range(0, len(group.sites), SITES_AT_ONCE):
-                sites = group.sites[k : k + SITES_AT_ONCE]
-                acting = np.hstack([_acting(trajectory, signals, site) for site in sites])
-                last = first + acting.shape[1]
-                product[:, first:last] += drawn.T @ acting
-                first = last
+        stacked = {own: np.hstack([columns[n] for n in own]) for own in set(sites.values())}
+        for site, own in sites.items():
+            product = stacked[own].T @ _acting(trajectory, signals, site)
+            products[site] = products[site] + product if site in products else product
     ranks = {
-        place: _rank(block, variance)
-        for group, product in zip(groups, products, strict=True)
-        for place, block in group.blocks(product, weights.shape[1])
+        CandidatePlace(site, name): _rank(rows, len(site.targets), variance)
+        for site, own in sites.items()
+        for name, rows in zip(own, np.split(products[site], len(own)), strict=True)
     }
-    found = np.array([ranks[place] for place in places])
-    order = np.argsort(-found, kind="stable").tolist()
-    return [RankedPlace(places[i], float(found[i])) for i in order]
+    return sorted(places, key=lambda place: -ranks[place])
 
 
 @dataclass(frozen=True)
 class FreeCurve:
     """A function of one argument: piecewise linear, or where that is time, a sum of waves.
 
-    Attributes
-    ----------
-    name
-        Of the argument.
-    knots
-        Of a piecewise linear function.
-    waves
-        Angular frequencies of what depends on time, beside a constant and a drift.
-    size
-        Number of its coefficients; those that it does not need have columns of zeros.
+    These have angular frequencies, and come beside a constant and a drift. Coefficients that are
+    not needed have columns of zeros.
     """
 
     name: str
     knots: FloatArray = field(repr=False)
     waves: tuple[float, ...]
-    size: int
 
     @classmethod
     def over(
-        cls,
-        name: str,
-        trajectories: Sequence[LinearisedTrajectory],
-        waves: tuple[float, ...],
-        size: int,
+        cls, name: str, trajectories: Sequence[LinearisedTrajectory], waves: tuple[float, ...]
     ) -> Self:
         """Over all values of an argument."""
         if name == TIME:
-            return cls(name, np.zeros(0), waves, size)
-        return cls(name, knots_over(pooled(trajectories, name), size), (), size)
+            return cls(name, np.zeros(0), waves)
+        return cls(name, knots_over(pooled(trajectories, name), HATS), ())
 
     def columns(self, trajectory: LinearisedTrajectory) -> FloatArray:
-        """(n, size): the function with each coefficient at 1 and all others at 0."""
-        found = np.zeros((len(trajectory.times), self.size))
+        """(n, HATS): the function with each coefficient at 1 and all others at 0."""
+        found = np.zeros((len(trajectory.times), HATS))
         if self.name == TIME:
             t = trajectory.times
             parts = [np.ones_like(t), t, *(f(w * t) for w in self.waves for f in (np.sin, np.cos))]
@@ -172,49 +138,12 @@ class FreeCurve:
         return found
 
 
-@dataclass(frozen=True)
-class _PlaceGroup:
-    """Sites with the same arguments, whose products are one product of matrices."""
+def _rank(product: FloatArray, states: int, variance: float) -> float:
+    """The score statistic of a curve, less the price of its coefficients.
 
-    sites: tuple[EffectSite, ...]
-    names: tuple[str, ...]
-    places: frozenset[CandidatePlace] = field(repr=False)
-
-    def shape(self, curves: Mapping[str, FreeCurve], weightings: int) -> tuple[int, int]:
-        coefficients = sum(curves[name].size for name in self.names)
-        return coefficients, weightings * sum(map(_width, self.sites))
-
-    def blocks(
-        self, product: FloatArray, weightings: int
-    ) -> Iterator[tuple[CandidatePlace, FloatArray]]:
-        """Each place with its own part, (coefficients, weightings)."""
-        by_name = product.reshape(len(self.names), -1, product.shape[1])
-        ports = weightings * np.cumsum([0, *map(_width, self.sites)])
-        for name, rows in zip(self.names, by_name, strict=True):
-            for site, (first, last) in zip(self.sites, pairwise(ports.tolist()), strict=True):
-                place = CandidatePlace(site, name)
-                if place in self.places:
-                    both = np.split(rows[:, first:last], _width(site), axis=1)
-                    yield place, np.concatenate(both)
-
-
-def _grouped(places: Sequence[CandidatePlace]) -> list[_PlaceGroup]:
-    """All sites of one variable together; each pair, which has few arguments, by itself."""
-    own: dict[EffectSite | None, list[CandidatePlace]] = {}
-    for place in places:
-        own.setdefault(place.site if place.site.kind == "pair" else None, []).append(place)
-    return [
-        _PlaceGroup(
-            tuple(dict.fromkeys(place.site for place in each)),
-            tuple(dict.fromkeys(place.argument for place in each)),
-            frozenset(each),
-        )
-        for each in own.values()
-    ]
-
-
-def _rank(block: FloatArray, variance: float) -> float:
-    """The score statistic of a curve, less the price of its coefficients."""
+    At a pair of states a curve acts on each of them with coefficients of its own.
+    """
+    block = np.concatenate(np.split(product, states, axis=1))
     b, sketch = block[:, 0], block[:, 1:]
     count = sketch.shape[1]
     sizes = np.sqrt(np.mean(sketch**2, axis=1))
@@ -228,10 +157,6 @@ def _rank(block: FloatArray, variance: float) -> float:
     d = int(kept.sum())
     unbiased = max(count - d - 1, 1) / count  # of an inverse, T. W. Anderson (2003), lemma 7.7.1
     return float(unbiased * shares.sum()) / max(variance, 1e-300) - COLUMN_PENALTY * (d - 1)
-
-
-def _width(site: EffectSite) -> int:
-    return len(site.targets) if site.kind == "pair" else 1
 
 
 def _acting(
@@ -250,14 +175,10 @@ class AdjointSignals:
 
     Attributes
     ----------
-    linear
-        The linear system.
     names
         Of the outputs.
-    at_states : (n, x, m)
-        At state derivatives.
-    at_outputs : (n, y, m)
-        At outputs.
+    at_states, at_outputs : (n, x, m), (n, y, m)
+        At state derivatives, and at outputs.
     """
 
     linear: Linearisation = field(repr=False)
@@ -280,18 +201,7 @@ class AdjointSignals:
 
 
 def adjoint_signals(trajectory: LinearisedTrajectory, weights: FloatArray) -> AdjointSignals:
-    """Integrate the adjoint along one experiment.
-
-    Parameters
-    ----------
-    weights : (k, m)
-        m weightings of the experiment's residuals.
-
-    Raises
-    ------
-    ValueError
-        Without a linearisation, as in co-simulation.
-    """
+    """Integrate the adjoint along one experiment, for m weightings of its residuals, (k, m)."""
     linear = trajectory.linear
     if linear is None:
         raise ValueError("the adjoint needs a linearisation")

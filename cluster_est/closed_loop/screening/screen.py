@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import (
-    CandidatePlace,
     count_candidates,
     open_arguments,
     open_places,
@@ -18,9 +17,8 @@ from cluster_est.closed_loop.candidates.arguments import (
 )
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
-    candidate_sites,
+    OpenSites,
     finer_form,
-    forms_at,
     in_finer_form,
     make_candidates,
 )
@@ -34,10 +32,7 @@ from cluster_est.closed_loop.screening.places import (
     rank_places,
 )
 from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings, LoopStage
-from cluster_est.statistics.projection import (
-    OrthogonalProjection,
-    ProjectedResidual,
-)
+from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
 from cluster_est.statistics.records import StackedRecords, thinned
 from cluster_est.statistics.residual_tests import structure
 from cluster_est.statistics.score import CONFOUNDED, ScoreTests, family_wise, score
@@ -58,25 +53,12 @@ class ScreeningThresholds:
         hundred candidates at once.
     most_values
         The same times the columns of all candidates. Memory: 128 MB, and some five copies of it.
-    peaks
-        Frequencies of the residual's spectrum that periodic effects begin with. Benchmark.
-    peak_distance
-        Relative distance of two peaks that count as different. Benchmark.
-    curves
-        Places of leading free curves at which finer ones are looked at. Benchmark.
-    probed_curves
-        The same in co-simulation, where each value of a curve takes simulations of its own.
-        Benchmark.
     autoregression
         Order of the autoregression that whitens. Benchmark.
     """
 
     most_rows: int = 20_000
     most_values: int = 16_000_000
-    peaks: int = 2
-    peak_distance: float = 0.1
-    curves: int = 12
-    probed_curves: int = 4
     autoregression: int = 2
 
 
@@ -84,6 +66,12 @@ SCREENING = ScreeningThresholds()
 
 SHORTEST_SPECTRUM = 16
 """Samples that a record needs for a spectrum. Signal."""
+PEAKS, PEAK_DISTANCE = 2, 0.1
+"""Frequencies of the residual's spectrum that periodic effects begin with, and the relative
+distance from which on two are different."""
+CURVE_PLACES, PROBED_PLACES = 12, 4
+"""Places of leading free curves at which finer ones are looked at; the same where each value of a
+curve takes simulations of its own, as in co-simulation."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +80,6 @@ class ScreeningResult:
 
     Attributes
     ----------
-    ranking
-        Of the candidates.
     structure, structure_white
         Tests for any smooth structure, before and after whitening.
     p, p_white
@@ -124,13 +110,7 @@ class ScreeningResult:
 def screen(
     fitter: Fitter, settings: LoopSettings, fitted: FittedModel, step: int
 ) -> ScreeningResult:
-    """Rank every candidate at a fit, and test the best.
-
-    Parameters
-    ----------
-    step
-        The number of the round: its random generators are its own.
-    """
+    """Rank every candidate at a fit, and test the best; each round has generators of its own."""
     ranking = rank(fitter, settings, fitted)
     streams = [fitter.generator(10 * step + stream) for stream in (3, 4)]
     draws = settings.draws
@@ -249,10 +229,8 @@ class CandidateRanking:
         Candidates at the points of their grids.
     columns
         The direction of each trial, (kept residuals, width).
-    rows
-        Indices of the residuals that were kept.
-    records
-        Of these.
+    rows, records
+        Indices of the residuals that were kept, and their records.
     plain, white
         Scores against the residual as it is, and after both were whitened by an autoregression.
     residual, residual_white
@@ -341,12 +319,11 @@ def _candidates(
     chosen: PlaceThresholds,
 ) -> tuple[list[EffectCandidate], int]:
     """All candidates, or those at leading places where there are many; how many were looked at."""
-    description = fitter.description
     frequencies = _peaks(fitter.records, fitted.residuals)
-    given = (fitted.problem, description, trajectories)
-    sites = candidate_sites(*given, settings)
-    arguments = open_arguments(*given)
-    forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
+    given = (fitted.problem, fitter.description, trajectories)
+    opened, arguments = OpenSites(*given, settings), open_arguments(*given)
+    sites = opened.all
+    forms = {site: opened.forms_at(site) for site in sites}
     everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
     most = chosen.most_candidates
     possible = (v for site in sites for f in forms[site] for v in variables_of(f, site, arguments))
@@ -355,25 +332,12 @@ def _candidates(
         if everywhere or len(candidates) <= fitter.size:
             return candidates, len(candidates)
     places = open_places(sites, arguments, trajectories)
-    leading = _leading(fitter, fitted, trajectories, places, frequencies, chosen)
-    candidates = make_candidates(*given, frequencies, settings, leading)
-    looked_at = count_candidates(places, forms, arguments)
-    return candidates, looked_at + sum(candidate.form.variables > 1 for candidate in candidates)
-
-
-def _leading(
-    fitter: Fitter,
-    fitted: FittedModel,
-    trajectories: Sequence[LinearisedTrajectory],
-    places: Sequence[CandidatePlace],
-    frequencies: Sequence[float],
-    chosen: PlaceThresholds,
-) -> list[CandidatePlace]:
-    """The places at which a free curve explains the most."""
     residual = ProjectedResidual(OrthogonalProjection(fitted.jacobian), fitted.residuals)
     generator = fitter.generator(PLACES_STREAM)
-    ranked = rank_places(places, trajectories, residual, frequencies, generator, chosen)
-    return [each.place for each in ranked[: chosen.leading]]
+    ranked = rank_places(places, trajectories, residual, frequencies, generator)
+    candidates = make_candidates(*given, frequencies, settings, ranked[: chosen.leading])
+    looked_at = count_candidates(places, forms, arguments)
+    return candidates, looked_at + sum(candidate.form.variables > 1 for candidate in candidates)
 
 
 def candidate_columns(
@@ -398,11 +362,11 @@ def candidate_columns(
     outside = [t for t in trials if t.candidate.site.kind == "output"]
     inside = [t for t in trials if t.candidate.site.kind != "output"]
     kept = slice(None) if rows is None else rows
-    shown = directions(trajectories, outside, values, rows)
-    found = dict(zip(map(id, outside), shown, strict=True))
-    probed = (column[kept] for column in probe(fitter, fitted, trajectories, inside))
-    found |= dict(zip(map(id, inside), probed, strict=True))
-    return [found[id(trial)] for trial in trials]
+    shown = iter(directions(trajectories, outside, values, rows))
+    probed = iter(probe(fitter, fitted, trajectories, inside))
+    return [
+        next(shown) if t.candidate.site.kind == "output" else next(probed)[kept] for t in trials
+    ]
 
 
 def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
@@ -415,13 +379,13 @@ def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
         step = float(np.median(np.diff(times)))
         power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
         rates = 2.0 * np.pi * np.fft.rfftfreq(len(part), step)
-        order = np.argsort(-power[2:])[: SCREENING.peaks] + 2
+        order = np.argsort(-power[2:])[:PEAKS] + 2
         best += [(float(power[k]), float(rates[k])) for k in order]
     found: list[float] = []
     for _, rate in sorted(best, reverse=True):
-        if all(abs(rate - other) > SCREENING.peak_distance * other for other in found):
+        if all(abs(rate - other) > PEAK_DISTANCE * other for other in found):
             found.append(rate)
-    return found[: SCREENING.peaks]
+    return found[:PEAKS]
 
 
 def rank_curves(
@@ -434,26 +398,21 @@ def rank_curves(
     """Rank the leading free curves at a fit against finer ones at the same places.
 
     What changes faster than the values of a curve lie apart looks like little to that curve, and
-    may look like more elsewhere.
+    may look like more elsewhere. The ranking is of these curves alone, the coarse ones first.
 
     Parameters
     ----------
     variables
         1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
         alone does and would crowd out curves that say less.
-
-    Returns
-    -------
-    CandidateRanking
-        Of these curves alone, against the residual as it is; the coarse ones come first.
     """
     leaders = [
         i
         for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
         if max(ranking.trials[i].candidate.form.variables, 1) == variables
-    ][: SCREENING.curves]
+    ][:CURVE_PLACES]
     coarse = [ranking.trials[i] for i in leaders]
-    refined = len(coarse) if fitter.by_linear_systems else SCREENING.probed_curves
+    refined = len(coarse) if fitter.by_linear_systems else PROBED_PLACES
     finer = [
         CandidatePoint(candidate, values)
         for trial in coarse[:refined]

@@ -25,11 +25,7 @@ from scipy.special import fdtrc
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.prediction import (
-    LeaveOneOutPrediction,
-    is_usable,
-    predict,
-)
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, is_usable, predict
 from cluster_est.closed_loop.selection.refits import full_refit
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
@@ -76,7 +72,8 @@ def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
     if better:
         number = min(better, key=lambda n: accepted[n].prediction.total)
         kept = without_undetermined(fitter, ending_at(grown, number))
-        if kept.current.added and _replaces(_accepted(kept), accepted[best]):
+        now = AcceptedStructure(kept.current, kept.prediction, kept.rivals)
+        if now.model.added and _replaces(now, accepted[best]):
             return [kept, *ends] if best else [kept]
         ends[0] = replace(ends[0], steps=_ended(ends[0].steps, RejectionReason.STRENGTHS))
     return ends
@@ -87,14 +84,7 @@ def best_ancestors(
 ) -> list[int]:
     """Return which of the structures take the place of all that came before, in their order.
 
-    The first is the declared model, and the last the answer.
-
-    Parameters
-    ----------
-    accepted
-        By a search, in its order.
-    left_out
-        What is no answer.
+    The first is the declared model, and the last the answer. What is left out is none.
     """
     chain = [0]
     for number in range(1, len(accepted)):
@@ -119,10 +109,6 @@ def ending_at(found: SelectionResult, number: int) -> SelectionResult:
         rivals=then.rivals,
         steps=steps,
     )
-
-
-def _accepted(found: SelectionResult) -> AcceptedStructure:
-    return AcceptedStructure(found.current, found.prediction, found.rivals)
 
 
 def _ended(steps: tuple[SelectionRound, ...], why: RejectionReason) -> tuple[SelectionRound, ...]:
@@ -202,20 +188,8 @@ def strength_p(
     Regression (1989), doi:10.1002/0471725315, section 5.3. For one strength it is the test that its
     confidence interval makes.
 
-    Parameters
-    ----------
-    added
-        The effects. Those of one site and argument share a test.
-    space, x
-        The unknowns of a model with the effects, and where they stand.
-    known
-        Their uncertainty.
-
-    Returns
-    -------
-    list of float
-        1 where the data do not determine one of the strengths; 0 where there is none, or each is at
-        a bound that is not zero.
+    Effects of one site and argument share a test. Where the data do not determine one of the
+    strengths it is 1; where there is none, or each is at a bound that is not zero, it is 0.
     """
     labels = [unknown.label for unknown in space.unknowns]
     places: dict[tuple[str, tuple[str, ...]], list[int]] = {}
@@ -251,16 +225,10 @@ def without_effects(
     positions: Sequence[int],
     part: LoopPart,
 ) -> SelectionResult:
-    """Take effects out of a result, and refit what stays.
+    """Take effects out of a result, by their positions, and refit what stays.
 
-    Where the other effects cannot be simulated without them, or run away, nothing stays.
-
-    Parameters
-    ----------
-    positions
-        Of the effects, among those that were added.
-    part
-        The part of the search that takes them out.
+    Where the other effects cannot be simulated without them, or run away, nothing stays. `part` is
+    the part of the search that takes them out.
     """
     start = found.current.start
     for position in sorted(positions, reverse=True):
@@ -281,7 +249,7 @@ def without_effects(
             screening = screen(fitter, found.settings, refitted, number)
             row = compared_structure(fitter.records, found.base, refitted, floor, number, part)
             path = (*path, row)
-    seen = SelectionRound(screening, (), WHY_TAKEN_OUT[part])
+    seen = SelectionRound(screening, (), RejectionReason[part.name])
     rivals = {name: own for name, own in found.rivals.items() if name in kept.structure}
     return replace(
         found,
@@ -291,9 +259,3 @@ def without_effects(
         steps=(*found.steps, seen),
         path=path,
     )
-
-
-WHY_TAKEN_OUT = {
-    LoopPart.STRENGTHS: RejectionReason.STRENGTHS,
-    LoopPart.FUNCTIONS_OF_TIME: RejectionReason.FUNCTIONS_OF_TIME,
-}

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from cluster_est.closed_loop.screening.screen import (
     place_of,
     rank_curves,
 )
+from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import (
     NO_BOUND,
@@ -35,19 +37,15 @@ from cluster_est.closed_loop.selection.linear_model import (
     can_reach,
     first_steps,
 )
-from cluster_est.closed_loop.selection.neighbours import (
-    refit_siblings,
-    starts_in_its_place,
-)
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, can_be_linearised
+from cluster_est.closed_loop.selection.neighbours import refit_siblings, starts_in_its_place
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
-    Rivals,
-    full_refit,
-    rivals_of,
+    best_first,
+    refit_fully,
 )
 from cluster_est.closed_loop.selection.rounds import (
+    AcceptedStructure,
     RoundEnd,
     RoundStart,
     can_be_claimed,
@@ -65,8 +63,8 @@ def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[Refitt
     Those of a switch are among them, because no named effect passes here.
     """
     del best
-    curves = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
-    coarse = _ordered(fitter.records, [curve.fitted for curve in curves])
+    coarse = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
+    coarse = sorted(coarse, key=lambda c: c.criterion)
     found = [*coarse, *finer_curves(fitter, begun, coarse)]
     curves = sorted(found, key=lambda c: c.criterion)
     return [*curves, *refit_named(fitter, begun, curves)]
@@ -77,17 +75,12 @@ def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
 
     Those at the leading places, and where the best of them is nearly right, those at other places
     that could do the same.
-
-    Parameters
-    ----------
-    begun
-        The start of the round that they are tried in.
     """
     most = REFINEMENT.curves if begun.has(LoopPart.FREE_CURVE) else 0
     curves = rank_curves(fitter, begun.model, begun.screening.ranking)
     seen = _leading(fitter, begun, curves, most)
-    seen += _finished(fitter, _in_other_places(fitter, begun, curves, seen))
-    return _ordered(fitter.records, seen)
+    seen += refit_fully(fitter, _in_other_places(fitter, begun, curves, seen))
+    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
 
 
 def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
@@ -95,16 +88,11 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
 
     Only where no named effect passes, or nothing that was found may be claimed: it contains what a
     switch alone does, and follows what else there is besides.
-
-    Parameters
-    ----------
-    begun
-        The start of the round that it is tried in.
     """
     if not begun.has(LoopPart.FREE_CURVE):
         return []
     curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
-    return _ordered(fitter.records, _leading(fitter, begun, curves, 1))
+    return best_first(fitter.records, _leading(fitter, begun, curves, 1), LoopPart.FREE_CURVE)
 
 
 def _leading(
@@ -114,7 +102,7 @@ def _leading(
     leaders = leading_places(curves)[:most]
     starts = [step.start for step in first_steps(fitter, begun.model, curves, leaders)]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    return _finished(fitter, brief)
+    return refit_fully(fitter, brief)
 
 
 def finer_curves(
@@ -127,16 +115,8 @@ def finer_curves(
 
     A fine curve has many values, and its first step leads astray where the effect is large. So each
     place that leaves more than noise goes on with twice as many from what it has come to, as long
-    as the criterion falls and a claim is in reach. Places that fall behind are left.
-
-    Parameters
-    ----------
-    begun
-        The start of the round that they are tried in.
-    coarse
-        The curves to begin with.
-    bound
-        What a curve must come down to beside a claim.
+    as the criterion falls, and a claim and what the bound asks for are in reach. Places that fall
+    behind are left.
     """
     records, alternative = fitter.records, REFINEMENT.alternative
     prunes = begun.has(LoopPart.PRUNING)
@@ -149,13 +129,7 @@ def finer_curves(
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
         going = [f for f in going if f.criterion(records) <= best + alternative]
-    return _ordered(fitter.records, seen)
-
-
-def _ordered(records: StackedRecords, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
-    move = LoopPart.FREE_CURVE
-    made = [RefittedCandidate(f, f.criterion(records), True, move) for f in fits]
-    return sorted(made, key=lambda c: c.criterion)
+    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
 
 
 def _in_other_places(
@@ -193,12 +167,6 @@ def refit_named(
     return sorted(named, key=lambda c: c.criterion)
 
 
-def _finished(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
-    """Refit to convergence; what cannot be stays as it is."""
-    finished = fitter.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(fitter))
-    return [new or old for new, old in zip(finished, fits, strict=True)]
-
-
 def _finer_fits(
     fitter: Fitter, begun: RoundStart, fits: Sequence[FittedModel], bound: PruningBound
 ) -> list[FittedModel]:
@@ -206,12 +174,9 @@ def _finer_fits(
 
     Those whose criterion does not fall, or that cannot come to be of use, are left out.
     """
-    rough = [
-        f
-        for f in fits
-        if f.sse > _largest_noise(fitter.size, begun.floor)
-        or f.criterion(fitter.records) > bound.criterion
-    ]
+    # two standard deviations above what noise alone leaves
+    most = begun.floor * (1.0 + 2.0 * np.sqrt(2.0 / max(fitter.size, 1)))
+    rough = [f for f in fits if f.sse > most or f.criterion(fitter.records) > bound.criterion]
     asked = [(f, start) for f in rough if (start := _finer_start(fitter, f)) is not None]
     brief = fitter.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
     hopeful = [
@@ -219,18 +184,13 @@ def _finer_fits(
         for (old, _), new in zip(asked, brief, strict=True)
         if new is not None and can_reach(fitter.records, new, _reachable(new, bound))
     ]
-    finished = _finished(fitter, [new for _, new in hopeful])
+    finished = refit_fully(fitter, [new for _, new in hopeful])
     records = fitter.records
     return [
         new
         for (old, _), new in zip(hopeful, finished, strict=True)
         if new.criterion(records) < old.criterion(records)
     ]
-
-
-def _largest_noise(size: int, floor: float) -> float:
-    """The sum of squares that noise alone hardly ever exceeds: two standard deviations above it."""
-    return float(floor * (1.0 + 2.0 * np.sqrt(2.0 / max(size, 1))))
 
 
 def _reachable(fitted: FittedModel, bound: PruningBound) -> PruningBound:
@@ -245,143 +205,108 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
     form = finer_form(curve)
     if form is None or not can_be_linearised(fitter, fitted):
         return None
-    held = {p.name: p.start for p in fitted.problem.parameters if p.fixed}
-    known = {**fitted.estimates, **held}
-    values = [known[f"{curve.effect.name}.{c.name}"] for c in curve.form.coefficients]
-    finer, heights = refined(curve, values, fitter.trajectories(fitted), form)
+    trajectories = fitter.trajectories(fitted)
+    finer, heights = refined(curve, fitted.coefficients(curve), trajectories, form)
     return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
 
 
-@dataclass(frozen=True)
-class SingleEffects:
-    """Effects that may take the place of all that a search adds, refitted to the declared model.
+@final
+@dataclass
+class Merging:
+    """The move that puts a single effect in the place of all that were added, once a search.
 
     Attributes
     ----------
+    first
+        The start of the first round.
     curves, named
-        Free curves, and forms of the library of the argument of the best of them.
+        What may take their place, refitted to the declared model: free curves, once they have been
+        looked for, and forms of the library of the argument of the best of them.
     fine
         Finer curves have been refitted too, where those led on.
+    done
+        An effect has taken their place.
     """
 
-    curves: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
-    named: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    first: RoundStart | None = None
+    curves: list[RefittedCandidate] | None = None
+    named: list[RefittedCandidate] = field(default_factory=list)
     fine: bool = False
+    done: bool = False
+
+    def note(self, begun: RoundStart, end: RoundEnd) -> None:
+        """Note the first round, and curves that have been tried there and did not pass."""
+        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
+        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
+            self.curves, self.fine = [], True
+
+    def instead(
+        self, fitter: Fitter, now: AcceptedStructure, *, whole: bool = False
+    ) -> RoundEnd | None:
+        """Return a round that a single effect has won in the place of all; None if they stay.
+
+        It must fit better, also if what is left is noise as coloured as it looks, and predict
+        better. A curve must fit better by the price of a choice among all pairs, and waits for two
+        effects: as a function of one argument, it imitates every sum of two that have this one.
+
+        Parameters
+        ----------
+        whole
+            Take only what leaves no more than noise.
+        """
+        first, current = self.first, now.model
+        if self.done or first is None or not _may_be_single(first, current):
+            return None
+        curves = self._refitted_curves(fitter, first, current, whole=whole)
+        price = SELECTION.pair_price * float(np.log(first.screening.count))
+
+        def fits_better(contender: RefittedCandidate, least: float) -> bool:
+            if contender.candidate.form.free and whole and len(current.added) < 2:
+                return False
+            if whole and leaves_more_than_noise(contender.fitted, first.floor):
+                return False
+            return min(_falls(fitter.records, current, contender.fitted)) > least
+
+        for contenders, least in ((self.named, 0.0), (curves, price)):
+            if not any(fits_better(contender, least) for contender in contenders):
+                continue  # the gates cost simulations
+            end = choose(fitter, first, contenders)
+            if end.won is None or end.prediction is None or not fits_better(end.won, least):
+                continue
+            if end.prediction.total < now.prediction.total:
+                self.done = True
+                return end
+        return None
+
+    def _refitted_curves(
+        self, fitter: Fitter, first: RoundStart, current: FittedModel, *, whole: bool
+    ) -> list[RefittedCandidate]:
+        """Refit the single effects that could fit better than a structure does.
+
+        Curves are made finer only where they may be taken, and where there is something to be
+        gained: one or two effects leave more than noise, or three look like patches. The curve of a
+        switch is among them where nothing found may be claimed.
+        """
+        if self.curves is None:
+            self.curves = coarse_curves(fitter, first)
+            self.named = refit_named(fitter, first, self.curves)
+        early = whole and len(current.added) < 2
+        gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
+        if not self.fine and gains and not early:
+            if not whole and not can_be_claimed(first, current):
+                self.curves += switched_curves(fitter, first)
+            bound = first.bound(criterion=current.criterion(fitter.records))
+            self.curves += finer_curves(fitter, first, self.curves, bound)
+            self.curves.sort(key=lambda c: c.criterion)
+            self.fine = True
+        return self.curves
 
 
-@dataclass(frozen=True)
-class SingleEffect:
-    """One that takes their place.
-
-    Attributes
-    ----------
-    won, prediction
-        The declared model with it, and its leave-one-out prediction.
-    rivals
-        The effects that the data leave possible in its place.
-    """
-
-    won: RefittedCandidate = field(repr=False)
-    prediction: LeaveOneOutPrediction
-    rivals: Rivals = field(repr=False)
-
-
-def may_be_single(first: RoundStart, current: FittedModel) -> bool:
-    """Return whether another effect may take the place of those that were added.
-
-    They are several, or leave more than noise, and something is missing at all.
-    """
+def _may_be_single(first: RoundStart, current: FittedModel) -> bool:
+    """Return whether the effects are several or leave more than noise, and something is missing."""
     patched = len(current.added) > 1 or leaves_more_than_noise(current, first.floor)
     free = any(candidate.form.free for candidate in current.added)
-    return patched and not free and reason_to_stop(first) is None
-
-
-def single_effects(
-    fitter: Fitter,
-    first: RoundStart,
-    current: FittedModel,
-    known: SingleEffects | None = None,
-    *,
-    whole: bool = False,
-) -> SingleEffects:
-    """Refit the single effects that could fit better than a structure does.
-
-    Curves are made finer only where they may be taken, see `single_instead`, and where there is
-    something to be gained: one or two effects leave more than noise, or three look like patches.
-    The curve of a switch is among them where nothing found may be claimed.
-
-    Parameters
-    ----------
-    first
-        The start of the search's first round.
-    current
-        The model with the effects that were added.
-    known
-        Those that have been refitted already.
-    whole
-        As in `single_instead`.
-    """
-    if known is None:
-        curves = coarse_curves(fitter, first)
-        known = SingleEffects(tuple(curves), tuple(refit_named(fitter, first, curves)))
-    early = whole and len(current.added) < 2
-    gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
-    if known.fine or early or not gains:
-        return known
-    if not whole and not can_be_claimed(first, current):
-        switched = switched_curves(fitter, first)
-        known = replace(known, curves=(*known.curves, *switched))
-    bound = first.bound(criterion=current.criterion(fitter.records))
-    finer = finer_curves(fitter, first, known.curves, bound)
-    curves = sorted((*known.curves, *finer), key=lambda c: c.criterion)
-    return replace(known, curves=tuple(curves), fine=True)
-
-
-def single_instead(
-    fitter: Fitter,
-    first: RoundStart,
-    current: FittedModel,
-    prediction: LeaveOneOutPrediction,
-    singles: SingleEffects,
-    *,
-    whole: bool = False,
-) -> SingleEffect | None:
-    """Return the single effect that takes the place of all that were added; None if they stay.
-
-    It must fit better, also if what is left is noise as coloured as it looks, and predict better. A
-    curve must fit better by the price of a choice among all pairs, and waits for two effects: as a
-    function of one argument, it imitates every sum of two that have this one.
-
-    Parameters
-    ----------
-    first
-        The start of the search's first round.
-    current, prediction
-        The model with the effects that were added, and its leave-one-out prediction.
-    singles
-        See `single_effects`.
-    whole
-        Take only what leaves no more than noise.
-    """
-    price = SELECTION.pair_price * float(np.log(first.screening.count))
-
-    def fits_better(contender: RefittedCandidate, least: float) -> bool:
-        if contender.candidate.form.free and whole and len(current.added) < 2:
-            return False
-        if whole and leaves_more_than_noise(contender.fitted, first.floor):
-            return False
-        return min(_falls(fitter.records, current, contender.fitted)) > least
-
-    for contenders, least in ((singles.named, 0.0), (singles.curves, price)):
-        if not any(fits_better(contender, least) for contender in contenders):
-            continue  # the gates cost simulations
-        end = choose(fitter, first, contenders)
-        if end.won is None or end.prediction is None or not fits_better(end.won, least):
-            continue
-        if end.prediction.total < prediction.total:
-            rivals = rivals_of(end.won, end.seen.contenders)
-            return SingleEffect(end.won, end.prediction, rivals)
-    return None
+    return first.has(LoopPart.MERGE) and patched and not free and reason_to_stop(first) is None
 
 
 def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:

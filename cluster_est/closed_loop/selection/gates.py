@@ -17,9 +17,10 @@ import numpy as np
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.numerical_error import NUMERICAL_ERROR
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.functions_of_time import TIME_FUNCTIONS, admissible
-from cluster_est.closed_loop.selection.prediction import (
+from cluster_est.closed_loop.selection.acceptance import (
+    TIME_FUNCTIONS,
     LeaveOneOutPrediction,
+    admissible,
     can_be_linearised,
     is_usable,
     predict,

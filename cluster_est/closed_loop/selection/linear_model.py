@@ -7,7 +7,7 @@ and 2.5 times in one of a hundred cases. What cannot come to be of any use is pr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -28,16 +28,8 @@ class RefinementThresholds:
 
     Attributes
     ----------
-    step_lengths
-        Parts of the linear model's step that are tried. Benchmark.
     largest_step
         Of a parameter: in logarithms, or as a share of its value. Benchmark.
-    weakest, strongest
-        Factors between which a finite amount of the grid is scaled. Benchmark.
-    points_of_grid
-        Points of a candidate's grid that are tried, the best by score. Benchmark.
-    white_leaders
-        Leaders of the whitened scores that are tried besides. Benchmark.
     closes
         Share of the gap to the noise that a single effect must close, or more are tried.
         Benchmark.
@@ -55,18 +47,13 @@ class RefinementThresholds:
         Times the fall of the criterion that the linear model promises after some iterations that
         the rest of a fit may bring. Benchmark.
     finalists
-        Candidates that are refitted to convergence. Benchmark.
-    promising
-        Candidates that go on although they are behind, because of what the linear model promises.
-        Benchmark.
+        Candidates, and other functions of the best one's argument, that are refitted to
+        convergence. Benchmark.
     curves
         Free curves that are refitted. Benchmark.
-    same_argument
-        Other functions of the best candidate's argument that are refitted. Benchmark.
     explains
-        Share of what that candidate does that they must be able to do. Benchmark.
-    settled
-        Fall of the criterion that ends a refit to convergence. Theory: a tenth of `equal`.
+        Share of what the best candidate does that other functions of its argument must be able to
+        do. Benchmark.
     equal
         Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
         more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795.
@@ -75,12 +62,7 @@ class RefinementThresholds:
         "very strong", ibid.
     """
 
-    step_lengths: tuple[float, ...] = (1.0, 0.3)
     largest_step: float = 0.8
-    weakest: float = 0.06
-    strongest: float = 3.0
-    points_of_grid: int = 2
-    white_leaders: int = 8
     closes: float = 0.9
     actual_reduction: float = 0.5
     behind: float = 0.25
@@ -88,30 +70,26 @@ class RefinementThresholds:
     rival_promise: float = 1.5
     linear_promise: float = 3.0
     finalists: int = 3
-    promising: int = 2
     curves: int = 2
-    same_argument: int = 3
     explains: float = 0.8
-    settled: float = 0.2
     equal: float = 2.0
     alternative: float = 10.0
 
 
 REFINEMENT = RefinementThresholds()
 
+STEP_LENGTHS = (1.0, 0.3)
+"""Parts of the linear model's step that are simulated, the shorter where the longer does little."""
+POINTS_OF_GRID = 2
+"""Of each candidate, from which first steps are simulated: the best by score."""
+SCALED_BY = (0.06, 3.0)
+"""Factors between which a finite amount of the grid is scaled: it is no small change."""
+
 
 def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return the step that minimises the linear model of the residuals, whatever the units.
+    """Return the step of all unknowns that minimises the linear model of the residuals.
 
-    Parameters
-    ----------
-    jacobian : (N, unknowns)
-    residuals : (N,)
-
-    Returns
-    -------
-    (unknowns,)
-        Zero for an unknown without effect.
+    It is the same whatever the units, and zero for an unknown without effect.
     """
     sizes = np.linalg.norm(jacobian, axis=0)
     sizes[~(sizes > 0.0)] = 1.0
@@ -122,12 +100,7 @@ def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray
 def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArray:
     """Return how far each unknown may be moved from a point at once, in search coordinates.
 
-    Parameters
-    ----------
-    space, x
-        The unknowns, and where they stand: (unknowns,).
-    largest
-        Of a parameter: in logarithms, or as a share of its value.
+    `largest` is in logarithms, or a share of a parameter's value.
     """
     log = space.logarithmic
     return largest * np.where(log, 1.0, np.maximum(np.abs(x), space.typical))
@@ -135,14 +108,9 @@ def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArra
 
 @dataclass(frozen=True)
 class PruningBound:
-    """What a refit must come down to.
+    """What a refit must come down to: its criterion and its sum of squares at most.
 
-    Attributes
-    ----------
-    criterion, sse
-        Its criterion and its sum of squares at most.
-    pruned
-        What falls behind the best of its fellows is refitted no further either.
+    If `pruned`, what falls behind the best of its fellows is refitted no further either.
     """
 
     criterion: float = np.inf
@@ -186,13 +154,11 @@ def can_reach_with(
     current
         The model without them.
     shares : (outputs,)
-        Of its squares that the linear model leaves after a step of all unknowns.
-    added
-        Number of new unknowns.
+        Of its squares that the linear model leaves after a step of all unknowns, the `added` ones
+        among them.
     """
     total, likelihood = 0.0, 0.0
-    for output, share in enumerate(shares.tolist()):
-        part = current.residuals[records.of_output(output)]
+    for part, share in zip(records.by_output(current.residuals), shares.tolist(), strict=True):
         if len(part):
             squares = float(np.add.reduce(part**2))
             total += squares * max(1.0 - REFINEMENT.claim_promise * (1.0 - share), 0.0)
@@ -203,18 +169,13 @@ def can_reach_with(
 
 
 def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the share (outputs,) of each output's squares that is left.
+    """Return the share (outputs,) of each output's squares that a linear model leaves."""
+    left, all_of_it = (_squares(records, each) for each in (after, before))
+    return np.array([a / b if b > 0.0 else 1.0 for a, b in zip(left, all_of_it, strict=True)])
 
-    Parameters
-    ----------
-    records
-        Of the residuals.
-    before, after : (N,)
-        The residuals, and those of the linear model.
-    """
-    rows = [records.of_output(output) for output in range(len(records.outputs))]
-    squares = [(np.add.reduce(after[r] ** 2), np.add.reduce(before[r] ** 2)) for r in rows]
-    return np.array([a / b if b > 0.0 else 1.0 for a, b in squares])
+
+def _squares(records: StackedRecords, stacked: FloatArray) -> list[float]:
+    return [float(np.add.reduce(part**2)) for part in records.by_output(stacked)]
 
 
 def _ahead(fitted: FittedModel) -> FittedModel:
@@ -259,17 +220,7 @@ class AskedStep:
 
 @dataclass(frozen=True)
 class FirstStep:
-    """A candidate, switched on by the step that the linear model asks for.
-
-    Attributes
-    ----------
-    sse
-        Sum of squares at the best point that was simulated.
-    asked
-        The whole step of the linear model.
-    start
-        From that point.
-    """
+    """A candidate at the best simulated point of the step that the linear model asks for."""
 
     sse: float
     asked: AskedStep = field(repr=False)
@@ -286,19 +237,19 @@ def first_steps(
     """Simulate the first step of each leader; shorter ones where it does less than predicted.
 
     Leaders that cannot be simulated are left out, and those that the linear model does not let hope
-    to be useful. One whose steps all make it worse starts from
-    nothing instead: with one effect more no model need fit worse.
+    to be useful. One whose steps all make it worse starts from nothing instead: with one effect
+    more no model need fit worse.
     """
     asked = [
         _asked_step(fitter, current, ranking, owner, i)
         for owner, leader in enumerate(leaders)
-        for i in _grid_points(ranking, leader)[: REFINEMENT.points_of_grid]
+        for i in _grid_points(ranking, leader)[:POINTS_OF_GRID]
     ]
     hopeful = {each.owner for each in asked if each.can_reach(fitter.records, current, bound)}
     asked = [each for each in asked if each.owner in hopeful]
     best: dict[int, FirstStep] = {}
-    for length in REFINEMENT.step_lengths:
-        asked = [each for each in asked if not _does_enough(each, best, current)]
+    for length in STEP_LENGTHS:
+        asked = [each for each in asked if not _does_enough(each, best.get(each.owner), current)]
         points = [(each.space, each.point(current, length)[None]) for each in asked]
         answers = fitter.evaluate(LoopStage.TRIALS, points)
         for each, (_, (point,)), (at,) in zip(asked, points, answers, strict=True):
@@ -338,34 +289,23 @@ def _asked_step(
     values = values_at(trial, strengths)
     start = current.start.plus(trial.candidate, values)
     left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-    sizes = [current.residuals[fitter.records.of_output(o)] for o in range(len(left))]
-    predicted = float(
-        sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
-    )
+    squares = _squares(fitter.records, current.residuals)
+    predicted = float(sum(share * own for share, own in zip(left, squares, strict=True)))
     return AskedStep(owner, trial, step, predicted, left, start, fitter.space(start))
 
 
-def _does_enough(
-    asked: AskedStep,
-    best: Mapping[int, FirstStep],
-    current: FittedModel,
-) -> bool:
-    """Return whether its candidate's first step has brought enough of the predicted reduction.
-
-    A longer one was simulated before, or there is nothing to judge by.
-    """
-    if asked.owner not in best:
+def _does_enough(asked: AskedStep, longer: FirstStep | None, current: FittedModel) -> bool:
+    """Return whether a longer step of the same candidate brought enough of what was predicted."""
+    if longer is None:
         return False
-    gained = current.sse - best[asked.owner].sse
-    return gained >= REFINEMENT.actual_reduction * (current.sse - asked.predicted)
+    return current.sse - longer.sse >= REFINEMENT.actual_reduction * (current.sse - asked.predicted)
 
 
 def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
     """The points of a leader's grid, the best score first."""
     name = ranking.trials[leader].candidate.effect.name
     own = [i for i, t in enumerate(ranking.trials) if t.candidate.effect.name == name]
-    own.sort(key=lambda i: -ranking.plain.statistics[i])
-    return own
+    return sorted(own, key=lambda i: -ranking.plain.statistics[i])
 
 
 def joint_step(
@@ -374,16 +314,8 @@ def joint_step(
     """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
 
     A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
-    unknowns make room for it, and it has no strengths.
-
-    Returns
-    -------
-    step
-        Of the unknowns.
-    strengths
-        Of each trial.
-    after
-        The residuals that the linear model leaves.
+    unknowns make room for it, and it has no strengths. What comes last are the residuals that the
+    linear model leaves.
     """
     matrix = current.jacobian[ranking.rows]
     residuals = current.residuals[ranking.rows]
@@ -416,8 +348,8 @@ def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
         if c.name in trial.candidate.strengths:
             values.append(next(asked))
         elif c.neutral == 0.0 and strengths.size:
-            factor = min(max(next(asked), REFINEMENT.weakest), REFINEMENT.strongest)
-            values.append(value * factor)
+            weakest, strongest = SCALED_BY
+            values.append(value * min(max(next(asked), weakest), strongest))
         else:
             values.append(value)
     return values

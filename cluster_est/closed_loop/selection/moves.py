@@ -15,13 +15,11 @@ from itertools import combinations
 import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.selection.acceptance import admissible, can_be_linearised
 from cluster_est.closed_loop.selection.free_curves import free_curve
-from cluster_est.closed_loop.selection.functions_of_time import admissible
 from cluster_est.closed_loop.selection.gates import SELECTION, may_go_on
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
-from cluster_est.closed_loop.selection.pairs import refit_pairs
-from cluster_est.closed_loop.selection.prediction import can_be_linearised
 from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
     Rivals,
@@ -30,6 +28,7 @@ from cluster_est.closed_loop.selection.refits import (
     most_parsimonious,
     proposed_by,
     refit,
+    refit_pairs,
     rivals_of,
 )
 from cluster_est.closed_loop.selection.rounds import (
@@ -113,7 +112,8 @@ def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandi
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose two effects more: from pairs of directions, and grown from single ones."""
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
-    found = {c.fitted.structure: c for c in refit_pairs(fitter, begun, bound)}
+    pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
+    found = {c.fitted.structure: c for c in pairs}
     if _grows_several(begun, begun.model):
         singles = best.compared if best.won is None else ()
         parents = best_distinct(fitter, begun, singles)

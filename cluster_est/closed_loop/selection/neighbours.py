@@ -23,6 +23,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, candidate_columns
+from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     PruningBound,
@@ -32,8 +33,13 @@ from cluster_est.closed_loop.selection.linear_model import (
     shares_left,
     values_at,
 )
-from cluster_est.closed_loop.selection.prediction import can_be_linearised
-from cluster_est.closed_loop.selection.refits import SHORT, RefittedCandidate, full_refit
+from cluster_est.closed_loop.selection.refits import (
+    SHORT,
+    RefittedCandidate,
+    best_first,
+    full_refit,
+    refit_fully,
+)
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.methods.method import Evaluation
@@ -57,19 +63,10 @@ def refit_siblings(
 
     Parameters
     ----------
-    begun
-        The round.
-    current
-        The model that candidates are added to.
-    ranking
-        Of all candidates at that model.
+    current, ranking
+        The model that candidates are added to, and all candidates at it.
     contenders
         Refitted candidates, the best first. Those that converged are not refitted again.
-
-    Returns
-    -------
-    list of RefittedCandidate
-        Those that were refitted, in no order.
     """
     if not begun.has(LoopPart.SIBLINGS) or not fitter.by_linear_systems:
         return []
@@ -87,21 +84,13 @@ def refit_siblings(
         for candidate in rivals
         for values in denser_grid(candidate, trajectories)
     ]
-    count = REFINEMENT.same_argument
-    starts = starts_in_its_place(fitter, current, best, trials, count)
-    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    starts = starts_in_its_place(fitter, current, best, trials, REFINEMENT.finalists)
+    fits = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    brief = best_first(fitter.records, fits, LoopPart.SIBLINGS, full=False)
     most = best.criterion + REFINEMENT.alternative
-    criteria = [fitted.criterion(fitter.records) for fitted in brief]
-    near = [f for f, criterion in zip(brief, criteria, strict=True) if criterion < most]
-    finished = fitter.fit(LoopStage.REFITS, [f.start for f in near], full_refit(fitter))
-    full = [new or old for new, old in zip(finished, near, strict=True)]
-    far = [
-        RefittedCandidate(f, criterion, False, LoopPart.SIBLINGS)
-        for f, criterion in zip(brief, criteria, strict=True)
-        if criterion >= most
-    ]
-    made = [(f, f.criterion(fitter.records)) for f in full]
-    return [RefittedCandidate(f, value, True, LoopPart.SIBLINGS) for f, value in made] + far
+    near = refit_fully(fitter, [c.fitted for c in brief if c.criterion < most])
+    far = [c for c in brief if c.criterion >= most]
+    return [*best_first(fitter.records, near, LoopPart.SIBLINGS), *far]
 
 
 def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
@@ -120,25 +109,14 @@ def starts_in_its_place(
     trials: Sequence[CandidatePoint],
     most: int,
 ) -> list[FitStart]:
-    """Return the best candidate's model with the likeliest others in its place.
+    """Return the best candidate's model with the likeliest others in its place, at most some.
 
-    Along its trajectory, what they should do is what it does and what it leaves.
-
-    Parameters
-    ----------
-    current
-        The model that it was added to.
-    best
-        The candidate, refitted.
-    trials
-        The others, at points of their grids.
-    most
-        Number of different ones that are wanted; those that could not do as much are left out.
+    Along its trajectory, what they should do is what it does and what it leaves; those that could
+    not do as much are left out. `current` is the model that it was added to.
     """
     fitted = best.fitted
-    name = best.candidate.effect.name
-    values = tuple(_value(fitted, c.name, best) for c in best.candidate.form.coefficients)
-    own = CandidatePoint(best.candidate, values)
+    name, values = best.candidate.effect.name, fitted.coefficients(best.candidate)
+    own = CandidatePoint(best.candidate, tuple(values))
     columns = candidate_columns(fitter, fitted, _before(fitter, current, best), [own, *trials])
     strengths = [v for c, v in zip(own.candidate.form.coefficients, values, strict=True)
                  if c.name in own.candidate.strengths]  # fmt: skip
@@ -166,12 +144,7 @@ def explained_share(
 ) -> tuple[float, FloatArray]:
     """Return the share of a target's squares that columns explain, and the strength of each.
 
-    Parameters
-    ----------
-    target : (n,)
-    columns : (n, width)
-    free
-        They are scaled to fit; without, they count as they are and have no strengths.
+    If not `free` to be scaled, they count as they are and have no strengths.
     """
     lengths = np.linalg.norm(columns, axis=0)
     whole = float(np.add.reduce(target**2))
@@ -181,13 +154,6 @@ def explained_share(
         return 1.0 - float(np.add.reduce((target - columns[:, 0]) ** 2)) / whole, np.zeros(0)
     sizes = np.linalg.lstsq(columns / lengths, target, rcond=1e-6)[0] / lengths
     return 1.0 - float(np.add.reduce((target - columns @ sizes) ** 2)) / whole, sizes
-
-
-def _value(fitted: FittedModel, coefficient: str, best: RefittedCandidate) -> float:
-    """The value of a coefficient of the best candidate, estimated or held."""
-    label = f"{best.candidate.effect.name}.{coefficient}"
-    held = {p.name: p.start for p in fitted.problem.parameters}
-    return float(fitted.estimates.get(label, held[label]))
 
 
 def _before(
@@ -210,10 +176,6 @@ def _before(
     ]
 
 
-WIDTH = GridScale.RMS_V
-"""Of a width that is held: a small part of how much its variable moves."""
-
-
 TRIED = (0.3, 2.5, 8.0, 25.0)
 """Widths that are tried, over the held one: a switch may be wider than a search holds it."""
 
@@ -227,27 +189,14 @@ def refit_switch_widths(
     """Refit the best contenders with the widths of their switches as unknowns.
 
     Only those that may come near the best by it, whether they converged or not; a width stays an
-    unknown where that pays.
-
-    Parameters
-    ----------
-    begun
-        The round.
-    contenders
-        Refitted candidates, in any order.
-    most
-        Criterion above which a structure is of no use.
-
-    Returns
-    -------
-    list of RefittedCandidate
-        The same structures, each once, the best first.
+    unknown where that pays. Above a criterion of `most` a structure is of no use. Returned are the
+    same structures, each once, the best first.
     """
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(contenders, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
     ranked = list(best.values())
-    asked = [i for i, c in enumerate(ranked) if _held_widths(c)][: REFINEMENT.finalists]
+    asked = [i for i, c in enumerate(ranked) if _held_widths(c.fitted)][: REFINEMENT.finalists]
     asked = asked if begun.has(LoopPart.SWITCH_WIDTHS) else []
     near = min([most, *(c.criterion + REFINEMENT.alternative for c in ranked[:1])])
     hopeful = _starts_that_may_pay(fitter, [ranked[i] for i in asked], near)
@@ -271,16 +220,19 @@ def _starts_that_may_pay(
     Each is simulated with other widths, and the linear model says how the other unknowns follow.
     Where a refit was broken off the linear model says too little: it is refitted in any case.
     """
-    starts: list[FitStart | None] = [_with_free_widths(contender) for contender in contenders]
+    starts = [_with_free_widths(contender.fitted) for contender in contenders]
+    found: list[FitStart | None] = list(starts)
     asked = [i for i, contender in enumerate(contenders) if contender.full]
-    spaces = [fitter.space(_with_free_widths(contenders[i])) for i in asked]
-    points = [
-        (space, _other_widths(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
-    ]
+    points = []
+    for i in asked:
+        space = fitter.space(starts[i])
+        points.append((space, _other_widths(contenders[i].fitted, space)))
     answers = fitter.evaluate(LoopStage.TRIALS, points)
     for i, (space, widths), seen in zip(asked, points, answers, strict=True):
-        starts[i] = _best_width(fitter, contenders[i], space, widths, seen, most)
-    return starts
+        best = _best_width(fitter, contenders[i], space, widths, seen, most)
+        known = None if best is None else {**starts[i].values, **space.estimates(best)}
+        found[i] = None if known is None else replace(starts[i], values=known)
+    return found
 
 
 def _best_width(
@@ -290,8 +242,8 @@ def _best_width(
     points: FloatArray,
     answers: Sequence[Evaluation],
     most: float,
-) -> FitStart | None:
-    """The best of some widths, if it may lower the criterion enough to be of any use."""
+) -> FloatArray | None:
+    """The point with the best widths, if it may lower the criterion enough to be of any use."""
     fitted, found = contender.fitted, []
     for point, at in zip(points, answers, strict=True):
         if at.ok:
@@ -303,15 +255,13 @@ def _best_width(
     _, after, point = min(found, key=lambda each: each[0])
     left = shares_left(fitter.records, fitted.residuals, after)
     bound = PruningBound(criterion=min(contender.criterion, most))
-    if not can_reach_with(fitter.records, fitted, left, space.size - fitted.space.size, bound):
-        return None
-    start = _with_free_widths(contender)
-    return FitStart(start.problem, {**start.values, **space.estimates(point)}, start.added)
+    added = space.size - fitted.space.size
+    return point if can_reach_with(fitter.records, fitted, left, added, bound) else None
 
 
-def _other_widths(contender: RefittedCandidate, space: SearchSpace) -> FloatArray:
+def _other_widths(fitted: FittedModel, space: SearchSpace) -> FloatArray:
     """Points (widths, unknowns) with other widths than those that are held."""
-    held = {p.name: p.start for p in contender.fitted.problem.parameters if p.fixed}
+    held = {p.name: p.start for p in fitted.problem.parameters if p.fixed}
     points = np.tile(space.start, (len(TRIED), 1))
     for i, unknown in enumerate(space.unknowns):
         if unknown.label in held:  # in logarithms
@@ -319,30 +269,30 @@ def _other_widths(contender: RefittedCandidate, space: SearchSpace) -> FloatArra
     return np.asarray(np.clip(points, space.lower, space.upper))
 
 
-def _held_widths(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
-    """The parameters that hold widths, with the narrowest and the widest of a search."""
-    ranges = {k: v for c in contender.fitted.added for k, v in _widths(c).items()}
-    held = {p.name for p in contender.fitted.problem.parameters if p.fixed}
-    return {name: ends for name, ends in ranges.items() if name in held}
+def _held_widths(fitted: FittedModel) -> dict[str, tuple[float, float]]:
+    """The parameters that hold widths, with the narrowest and the widest of a search.
+
+    Widths are small parts of how much their variables move. What a power law refers to is held for
+    good, and no width.
+    """
+    held = {p.name for p in fitted.problem.parameters if p.fixed}
+    ranges = {}
+    for candidate in fitted.added:
+        columns = zip(*candidate.grid, strict=True)
+        for c, values in zip(candidate.form.coefficients, columns, strict=True):
+            name = f"{candidate.effect.name}.{c.name}"
+            if name in held and c.scale is GridScale.RMS_V:
+                ranges[name] = min(values), max(values)
+    return ranges
 
 
-def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
-    """The ranges of its widths. What a power law refers to is no width, and held for good."""
-    columns = zip(candidate.form.coefficients, zip(*candidate.grid, strict=True), strict=True)
-    return {
-        f"{candidate.effect.name}.{c.name}": (min(values), max(values))
-        for c, values in columns
-        if c.held and c.scale is WIDTH
-    }
-
-
-def _with_free_widths(contender: RefittedCandidate) -> FitStart:
-    """A start from the contender's estimates, with its widths among the unknowns.
+def _with_free_widths(fitted: FittedModel) -> FitStart:
+    """A start from the estimates of a fit, with its widths among the unknowns.
 
     They start from the widest, unless a better one is known: what is too narrow to be seen gives a
     fit no direction.
     """
-    start, ranges = contender.fitted.start, _held_widths(contender)
+    start, ranges = fitted.start, _held_widths(fitted)
 
     def released(parameter: Parameter) -> Parameter:
         if parameter.name not in ranges:
@@ -352,4 +302,4 @@ def _with_free_widths(contender: RefittedCandidate) -> FitStart:
         return replace(parameter, start=widest, fixed=False, bounds=bounds, scale="log")
 
     parameters = tuple(released(p) for p in start.problem.parameters)
-    return FitStart(replace(start.problem, parameters=parameters), start.values, start.added)
+    return replace(start, problem=replace(start.problem, parameters=parameters))

@@ -1,13 +1,18 @@
-"""Refits of the leading candidates, which all moves share, and the models that were refitted.
+"""Refits of the leading candidates, alone and in pairs, and the models that were refitted.
 
 A score sees only a first small step. Each leading candidate is therefore switched on together with
 the step of all parameters that the linear model asks for, simulated, and the best are refitted.
+
+The best pairs of directions are found by linear algebra alone: for two unit directions b, c with
+g = b'c and the residual's shares x = b'r, y = c'r, both together carry
+(x^2 + y^2 - 2 g x y) / (1 - g^2) of r'r.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
@@ -20,8 +25,13 @@ from cluster_est.closed_loop.selection.linear_model import (
     FirstStep,
     PruningBound,
     can_reach,
+    can_reach_with,
     first_steps,
+    is_proportional,
+    joint_step,
     predicted_criterion,
+    shares_left,
+    values_at,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
@@ -32,8 +42,20 @@ BRIEFLY = 1e-4
 """Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
 see who is ahead."""
 
+SETTLED_REFIT = 0.1
+"""Fall of the criterion that ends a refit to convergence, over what tells two candidates apart."""
+
 FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
-SHORT = LeastSquares(trials=1, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+SHORT = replace(FIRST, max_iterations=2)
+
+WHITE_LEADERS = 8
+"""Leaders of the whitened scores that are tried besides those of the plain ones."""
+PROMISING = 2
+"""Candidates that go on although they are behind, because of what the linear model promises."""
+PAIRED, PAIRS_REFITTED = 90, 8
+"""Directions that are paired, for which the work grows with the square; pairs that are refitted."""
+ALIKE_DIRECTIONS = 0.98
+"""Cosine above which two directions are no pair. Benchmark."""
 
 
 def full_refit(fitter: Fitter) -> LeastSquares:
@@ -43,9 +65,14 @@ def full_refit(fitter: Fitter) -> LeastSquares:
     so it ends where that is a part of the smallest difference that tells two candidates apart. An
     output with a small part of all squares may move the criterion by more.
     """
-    settled = REFINEMENT.settled / max(fitter.size, 1)
-    ftol = min(BRIEFLY, settled)
-    return LeastSquares(trials=1, max_iterations=15, ftol=ftol, xtol=1e-5, differences="forward")
+    settled = SETTLED_REFIT * REFINEMENT.equal / max(fitter.size, 1)
+    return replace(FIRST, max_iterations=15, ftol=min(BRIEFLY, settled))
+
+
+def refit_fully(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
+    """Refit to convergence; what cannot be stays as it is."""
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(fitter))
+    return [new or old for new, old in zip(finished, fits, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -54,8 +81,6 @@ class RefittedCandidate:
 
     Attributes
     ----------
-    fitted, criterion
-        The model, and its criterion.
     full
         It was refitted to convergence.
     move
@@ -70,6 +95,18 @@ class RefittedCandidate:
     @property
     def candidate(self) -> EffectCandidate:
         return self.fitted.added[-1]
+
+
+def best_first(
+    records: StackedRecords,
+    fits: Sequence[FittedModel],
+    move: LoopPart | None = None,
+    *,
+    full: bool = True,
+) -> list[RefittedCandidate]:
+    """Return refits with their criteria, the best first."""
+    made = [RefittedCandidate(f, f.criterion(records), full, move) for f in fits]
+    return sorted(made, key=lambda c: c.criterion)
 
 
 Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
@@ -98,14 +135,10 @@ def refit(
 
     Parameters
     ----------
-    current
-        The model that they are added to.
-    ranking
-        Of all candidates at that model.
+    current, ranking
+        The model that they are added to, and all candidates at it.
     floor
         Sum of squares that the noise alone would leave.
-    settings
-        How many are tried and refitted.
     wide
         Try all that the settings ask for; without, half as many.
     further
@@ -133,133 +166,120 @@ def refit(
     def is_done(i: int) -> bool:
         return own | {ranking.trials[i].candidate.effect.name} in done
 
+    growth = Growth(fitter, current, floor, bound)
     leaders = leading(ranking.plain, 2 * trials)
-    white = leading(ranking.white, REFINEMENT.white_leaders)
+    white = leading(ranking.white, WHITE_LEADERS)
     places = list(dict.fromkeys([*leaders[:trials], *white]))
     first = [i for i in places if not is_done(i)]
     count = max(count - (len(places) - len(first)), 0)
     chosen, left = _mixed(first_steps(fitter, current, ranking, first, bound), count)
-    reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
-    near = _near_the_best(reached, possible, current, floor)
-    contenders = _refit_steps(fitter, current, floor, [chosen[i] for i in near], bound)
+    near = growth.near_the_best([step.sse for step in chosen], possible)
+    contenders = growth.refit_steps([chosen[i] for i in near])
     best = min((c.fitted.sse for c in contenders), default=current.sse)
-    if not further or _closes(current, best, floor, REFINEMENT.closes):
+    if not further or growth.closed_by(best):
         return contenders
     later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
     left += first_steps(fitter, current, ranking, later, bound)
     left.sort(key=lambda step: step.sse)
-    contenders += _refit_steps(fitter, current, floor, left[:count], bound)
+    contenders += growth.refit_steps(left[:count])
     return sorted(contenders, key=lambda c: c.criterion)
 
 
-def _refit_steps(
-    fitter: Fitter,
-    current: FittedModel,
-    floor: float,
-    steps: Sequence[FirstStep],
-    bound: PruningBound,
-) -> list[RefittedCandidate]:
-    """Refit from first steps; the latter half only what may come near the best of the first."""
-    ordered = sorted(steps, key=lambda step: step.sse)
-    half = (len(ordered) + 1) // 2
-    fits = refit_briefly(fitter, [step.start for step in ordered[:half]])
-    rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
-    near = [s.start for s in ordered[half:] if s.asked.can_reach(fitter.records, current, rival)]
-    fits += refit_briefly(fitter, near)
-    return successive_halving(fitter, current, floor, fits, bound)
+def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
+    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    ranked = 2 * count // 3
+    rest = sorted(steps[ranked:], key=lambda step: step.sse)
+    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
 
 
-def refit_briefly(fitter: Fitter, starts: Sequence[FitStart]) -> list[FittedModel]:
-    """Refit by one iteration; without those that cannot be simulated."""
-    return [f for f in fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
+@final
+@dataclass(frozen=True)
+class Growth:
+    """Refits of what a model may grow to, down to a bound.
 
-
-def successive_halving(
-    fitter: Fitter,
-    current: FittedModel,
-    floor: float,
-    fits: Sequence[FittedModel],
-    bound: PruningBound = NO_BOUND,
-) -> list[RefittedCandidate]:
-    """Refit the better half of brief refits more, and the best to convergence; the best first.
-
-    What has converged waits for the last round. What is far behind where one candidate does it all
-    is refitted no further, nor what can neither come near the best so far nor down to what it must
-    reach.
-    Some candidates have further to go than others, as where a parameter must make room for them:
-    those that the linear model promises to become the best go on too.
+    `floor` is the sum of squares that the noise alone would leave.
     """
-    lost: list[FittedModel] = []
-    for last in (False, True):
-        fits = sorted(fits, key=lambda f: f.criterion(fitter.records))
-        sums = [f.sse for f in fits]
-        near = _near_the_best(sums, sums, current, floor)
-        rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
-        near = [i for i in near if can_reach(fitter.records, fits[i], rival)]
-        kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
-        kept += _promising(fitter.records, fits, near, kept)
-        lost += [f for i, f in enumerate(fits) if i not in kept]
-        fits = [fits[i] for i in kept]
-        if not last:
-            going = [f for f in fits if not f.converged]
-            further = iter(fitter.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
-            fits = [f if f.converged else next(further) or f for f in fits]
-    order = list(range(len(fits)))
-    first = order[: REFINEMENT.finalists]
-    first += _promising(fitter.records, fits, order, first)
-    best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
-    finished = fitter.fit(LoopStage.REFITS, [f.start for f in best], full_refit(fitter))
-    found = [(f, False) for f in (*lost, *rest)]
-    found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
-    made = [RefittedCandidate(f, f.criterion(fitter.records), full) for f, full in found]
-    return sorted(made, key=lambda c: c.criterion)
 
+    fitter: Fitter
+    current: FittedModel
+    floor: float
+    bound: PruningBound
 
-def _near_the_best(
-    reached: Sequence[float],
-    possible: Sequence[float],
-    current: FittedModel,
-    floor: float,
-) -> list[int]:
-    """Positions of what does, or could do, a part of what the best does, where that does it all.
+    def refit_steps(self, steps: Sequence[FirstStep]) -> list[RefittedCandidate]:
+        """Refit from first steps; the latter half only what may come near the best of the first."""
+        ordered = sorted(steps, key=lambda step: step.sse)
+        half = (len(ordered) + 1) // 2
+        fits = self.briefly([step.start for step in ordered[:half]])
+        records, rival = self.fitter.records, self.rival_of_the_best(fits)
+        near = [s.start for s in ordered[half:] if s.asked.can_reach(records, self.current, rival)]
+        return self.successive_halving([*fits, *self.briefly(near)])
 
-    Parameters
-    ----------
-    reached, possible
-        Sums of squares of each, as simulated, and at best.
-    """
-    best = min(reached, default=current.sse)
-    enough = _closes(current, best, floor, REFINEMENT.closes)
-    least = REFINEMENT.behind * (current.sse - best) if enough else -np.inf
-    return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
+    def briefly(self, starts: Sequence[FitStart]) -> list[FittedModel]:
+        """Refit by one iteration; without those that cannot be simulated."""
+        return [f for f in self.fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
 
+    def successive_halving(self, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
+        """Refit the better half of brief refits more, and the best to convergence; the best first.
 
-def _rival_of_the_best(
-    records: StackedRecords,
-    current: FittedModel,
-    floor: float,
-    fits: Sequence[FittedModel],
-    bound: PruningBound,
-) -> PruningBound:
-    """What a fit must come down to, to be the best or its rival, where that closes the gap.
+        What has converged waits for the last round. What is far behind where one candidate does it
+        all is refitted no further, nor what can neither come near the best so far nor down to what
+        it must reach. Some candidates have further to go than others, as where a parameter must
+        make room for them: those that the linear model promises to become the best go on too.
+        """
+        fitter, records = self.fitter, self.fitter.records
+        lost: list[FittedModel] = []
+        for last in (False, True):
+            fits = sorted(fits, key=lambda f: f.criterion(records))
+            sums = [f.sse for f in fits]
+            rival = self.rival_of_the_best(fits)
+            near = [i for i in self.near_the_best(sums, sums) if can_reach(records, fits[i], rival)]
+            kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
+            kept += _promising(records, fits, near, kept)
+            lost += [f for i, f in enumerate(fits) if i not in kept]
+            fits = [fits[i] for i in kept]
+            if not last:
+                going = [f for f in fits if not f.converged]
+                further = iter(fitter.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
+                fits = [f if f.converged else next(further) or f for f in fits]
+        order = list(range(len(fits)))
+        first = order[: REFINEMENT.finalists]
+        first += _promising(records, fits, order, first)
+        best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
+        found = best_first(records, [*lost, *rest], full=False)
+        found += best_first(records, refit_fully(fitter, best))
+        return sorted(found, key=lambda c: c.criterion)
 
-    Else none is far behind: what is a part of the truth may do less than what imitates all of it.
-    """
-    if not bound.pruned:
-        return bound
-    best = min(fits, key=lambda f: f.criterion(records), default=current)
-    if not _closes(current, best.sse, floor, REFINEMENT.closes):
-        return bound
-    rival = best.criterion(records) + REFINEMENT.alternative
-    return replace(bound, criterion=min(bound.criterion, rival))
+    def near_the_best(self, reached: Sequence[float], possible: Sequence[float]) -> list[int]:
+        """Positions of what may do a part of what the best does, where that closes the gap.
+
+        `reached` and `possible` are the sums of squares of each, as simulated, and at best.
+        """
+        best = min(reached, default=self.current.sse)
+        done = self.current.sse - best
+        least = REFINEMENT.behind * done if self.closed_by(best) else -np.inf
+        return [i for i, sse in enumerate(possible) if self.current.sse - sse >= least]
+
+    def rival_of_the_best(self, fits: Sequence[FittedModel]) -> PruningBound:
+        """What a fit must come down to, to be the best or its rival, where that closes the gap.
+
+        Else none is far behind: what is a part of the truth may do less than what imitates all of
+        it.
+        """
+        records, bound = self.fitter.records, self.bound
+        best = min(fits, key=lambda f: f.criterion(records), default=self.current)
+        if not bound.pruned or not self.closed_by(best.sse):
+            return bound
+        rival = best.criterion(records) + REFINEMENT.alternative
+        return replace(bound, criterion=min(bound.criterion, rival))
+
+    def closed_by(self, sse: float) -> bool:
+        """Return whether a sum of squares closes most of the gap to the noise."""
+        return self.current.sse - sse >= REFINEMENT.closes * (self.current.sse - self.floor)
 
 
 def _promising(
-    records: StackedRecords,
-    fits: Sequence[FittedModel],
-    near: Sequence[int],
-    kept: Sequence[int],
+    records: StackedRecords, fits: Sequence[FittedModel], near: Sequence[int], kept: Sequence[int]
 ) -> list[int]:
     """Positions of some that are not kept, though their next step promises more than the best's."""
     if not kept:
@@ -267,19 +287,11 @@ def _promising(
     best = min(predicted_criterion(records, fits[i]) for i in kept)
     others = [(predicted_criterion(records, fits[i]), i) for i in near if i not in kept]
     better = sorted(each for each in others if each[0] < best)
-    return [i for _, i in better[: REFINEMENT.promising]]
-
-
-def _closes(current: FittedModel, best: float, floor: float, share: float) -> bool:
-    """Return whether a sum of squares closes this share of the gap to the noise."""
-    return current.sse - best >= share * (current.sse - floor)
+    return [i for _, i in better[:PROMISING]]
 
 
 def most_parsimonious(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
-    """The best contender; among equals the plainest name, then the one with fewest unknowns.
-
-    Then the one with fewest states of its own.
-    """
+    """The best contender; among equals the one of plainest name, fewest unknowns, fewest states."""
     best = contenders[0].criterion
     equal = [c for c in contenders if c.full and c.criterion - best < REFINEMENT.equal]
     equal = equal or list(contenders[:1])
@@ -320,30 +332,83 @@ def ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
     return replace(contender, fitted=replace(contender.fitted, added=tuple(ordered)))
 
 
-def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
-    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
-    ranked = 2 * count // 3
-    rest = sorted(steps[ranked:], key=lambda step: step.sse)
-    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
+def refit_pairs(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    floor: float,
+    bound: PruningBound,
+) -> list[RefittedCandidate]:
+    """Refit the best pairs; the best first. A contender's last two effects are the pair.
+
+    Those that the linear model does not let hope to be useful are left out.
+    """
+    asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
+    growth = Growth(fitter, current, floor, bound)
+    fits = growth.briefly([start for start in asked if start is not None])
+    return proposed_by(LoopPart.ADD_TWO, growth.successive_halving(fits))
 
 
-SAME = 0.1
+def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tuple[int, int]]:
+    """Pairs of trials of different candidates by the share of the residual that they carry."""
+    scores = ranking.plain
+    usable = [
+        i for i in np.argsort(-scores.statistics, kind="stable").tolist()
+        if scores.df[i] == 1 and not ranking.trials[i].candidate.form.free
+    ][:PAIRED]  # fmt: skip
+    if len(usable) < 2:
+        return []
+    first = scores.offsets[usable]
+    basis, shares = scores.bases[:, first], scores.coordinates[first]
+    gram = basis.T @ basis
+    a, b = np.triu_indices(len(usable), 1)
+    g = gram[a, b]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
+    carried[np.abs(g) > ALIKE_DIRECTIONS] = 0.0
+    found: dict[frozenset[str], tuple[int, int]] = {}
+    for k in np.argsort(-carried, kind="stable").tolist():
+        i, j = usable[a[k]], usable[b[k]]
+        names = frozenset(ranking.trials[m].candidate.effect.name for m in (i, j))
+        if len(names) == 2 and carried[k] > 0.0:
+            found.setdefault(names, (i, j))
+        if len(found) >= most:
+            break
+    return list(found.values())
+
+
+def _start_of_pair(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    pair: tuple[int, int],
+    bound: PruningBound,
+) -> FitStart | None:
+    """Both effects, with the strengths of the joint linear step; None if of no use."""
+    _, strengths, after = joint_step(current, ranking, pair)
+    start = current.start
+    for m, own in zip(pair, strengths, strict=True):
+        trial = ranking.trials[m]
+        start = start.plus(trial.candidate, values_at(trial, own))
+    if all(is_proportional(ranking.trials[m]) for m in pair):
+        added = fitter.space(start).size - len(current.x)
+        left = shares_left(ranking.records, current.residuals[ranking.rows], after)
+        if not can_reach_with(fitter.records, current, left, added, bound):
+            return None
+    return start
+
+
+SAME_MODEL = 0.1
 """Distance of two residuals, in standard deviations of one sample's noise, up to which they are
 those of one model: a statistic of 100 then changes by 2 at most."""
 
 
 @dataclass
 class CachedModel:
-    """A model that effects were added to.
+    """A model that effects were added to, and what is known at it.
 
-    Attributes
-    ----------
-    fitted
-        The model.
-    ranking
-        Of the candidates at it; None where it was not kept.
-    grown
-        What was refitted to convergence with one effect more, by its structure.
+    `ranking` is None where it was not kept; `grown` is what was refitted to convergence with one
+    effect more, by its structure.
     """
 
     fitted: FittedModel = field(repr=False)
@@ -360,12 +425,7 @@ class ModelCache:
     co-simulation and with process noise; where linear systems answer for all, one takes none and is
     made again. Free curves are not kept: they are made anew for each model.
 
-    Attributes
-    ----------
-    noise
-        Variance of the residuals that the noise alone would leave.
-    remembers
-        Without, everything is done again.
+    `noise` is the variance that it alone would leave; if it does not remember, all is done again.
     """
 
     noise: float
@@ -410,11 +470,11 @@ class ModelCache:
     def _at(self, fitted: FittedModel) -> CachedModel:
         """The model, if it still is where it was; else a new one in its place."""
         known = self._models.get(fitted.structure)
-        if known is None or _distance(fitted, known.fitted) > SAME**2 * self.noise:
+        if known is None or _far_apart(fitted, known.fitted, self.noise):
             known = self._models[fitted.structure] = CachedModel(fitted)
         return known
 
 
-def _distance(one: FittedModel, other: FittedModel) -> float:
-    """Return the sum of squares between the residuals of two fits."""
-    return float(np.add.reduce((one.residuals - other.residuals) ** 2))
+def _far_apart(one: FittedModel, other: FittedModel, noise: float) -> bool:
+    distance = float(np.add.reduce((one.residuals - other.residuals) ** 2))
+    return distance > SAME_MODEL**2 * noise

@@ -12,8 +12,8 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, ScreeningResult, findings
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
 from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
@@ -85,9 +85,9 @@ class RejectionReason(enum.StrEnum):
 class SelectionRound:
     """One round: the screening at a model, and its outcome.
 
-    `why` is the reason why nothing was added; None where something was. `gain` is that of the
-    criterion, `closed` the share of the gap to the noise that was closed, `coloured` whether
-    autocorrelated noise would explain as much as the best contender did.
+    `why` nothing was added is None where something was. `gain` is that of the criterion, `closed`
+    the share of the gap to the noise that was closed, `coloured` whether autocorrelated noise would
+    explain as much as the best contender did.
     """
 
     screening: ScreeningResult = field(repr=False)
@@ -114,10 +114,6 @@ class RoundStart:
         The models that the search has added effects to.
     floor
         Sum of squares that the noise alone would leave.
-    settings
-        Of the loop; what they leave out is left out.
-    sigma_declared
-        The user has given a sigma.
     beside
         The structures that it was compared with in the round before.
     numerical
@@ -150,8 +146,6 @@ class RoundEnd:
 
     Attributes
     ----------
-    seen
-        What it looked at, and the reason why nothing was added.
     won, prediction
         The structure that passed, and its prediction; None where nothing was added.
     compared
@@ -171,14 +165,8 @@ class RoundEnd:
 class Revised:
     """A structure that has passed the gates, and what revisions made of it.
 
-    Attributes
-    ----------
-    model
-        The structure, fitted.
-    rivals
-        Of its effects; those of others may be among them.
-    move
-        The last part of the search that changed it.
+    `rivals` are those of its effects, and perhaps of others; `move` is the last part of the search
+    that changed it.
     """
 
     model: FittedModel
@@ -237,17 +225,7 @@ class ComparedStructure:
 
 @dataclass(frozen=True)
 class AcceptedStructure:
-    """A structure that was accepted.
-
-    Attributes
-    ----------
-    model, prediction
-        The structure, fitted, and its leave-one-out prediction.
-    rivals
-        Of its effects.
-    beside
-        The structures that it was compared with.
-    """
+    """A structure that was accepted, fitted, and the structures that it was compared with."""
 
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction
@@ -265,14 +243,10 @@ class SelectionResult:
         The declared model, and the one with all effects that were added.
     base_prediction, prediction
         Leave-one-out predictions of both.
-    rivals
-        For each added effect, by name, the contenders that it won against.
     steps, findings
         Of all rounds.
-    noise
-        Of each output, in units of its residual.
-    settings
-        Of the search.
+    noise : (outputs,)
+        In units of the residuals.
     path
         The structures that were compared, in the order of the rounds, the best of each first.
     accepted
@@ -302,16 +276,11 @@ def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
 
 
 def useful_sse(begun: RoundStart, added: int) -> float:
-    """Return the sum of squares that structures of a round must come down to, to be of any use.
+    """Return the sum of squares that structures of so many effects must come down to, to be of use.
 
     With the last effect that is allowed a structure must close the least share of the gap, and as
     much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
     and a smaller structure neither: a further effect may show what it is good for.
-
-    Parameters
-    ----------
-    added
-        Number of effects of the structures.
     """
     settings, floor = begun.settings, begun.floor
     if added < settings.max_effects:
@@ -369,10 +338,10 @@ def evidence_of_round(
         reached.append((end.won, CandidateStage.ACCEPTED))
     for contender, stage in reached:
         for candidate in contender.fitted.added:
-            name = candidate.effect.name
-            known = found.get(name) or _as_finer(found.values(), candidate)
+            known = _evidence_of(found.values(), candidate)
             if known is not None:
-                found[name] = replace(known, stage=stage, criterion=contender.criterion - base)
+                known = replace(known, stage=stage, criterion=contender.criterion - base)
+                found[candidate.effect.name] = known
     return list(found.values())
 
 
@@ -380,53 +349,30 @@ def with_single(
     seen: Sequence[CandidateEvidence], won: RefittedCandidate, criterion: float
 ) -> list[CandidateEvidence]:
     """Return the candidates, with the one that took the place of all effects as accepted."""
-    first = [each for each in seen if each.step == 1]
-    own = won.candidate
-    known = next((each for each in first if _is_of(each, own)), None) or _as_finer(first, own)
+    known = _evidence_of([each for each in seen if each.step == 1], won.candidate)
     if known is None:
         return list(seen)
     accepted = replace(known, stage=CandidateStage.ACCEPTED, criterion=criterion)
-    return [accepted, *(each for each in seen if each.step != 1 or not _is_of(each, own))]
+    own = accepted.step, accepted.site, accepted.form, accepted.variables
+    others = (each for each in seen if (each.step, each.site, each.form, each.variables) != own)
+    return [accepted, *others]
 
 
-def _is_of(evidence: CandidateEvidence, candidate: EffectCandidate) -> bool:
-    place = (str(candidate.site), candidate.form.name, candidate.effect.variables)
-    return (evidence.site, evidence.form, evidence.variables) == place
-
-
-def _as_finer(
+def _evidence_of(
     found: Iterable[CandidateEvidence], candidate: EffectCandidate
 ) -> CandidateEvidence | None:
-    """Return the evidence of a finer curve: that of the one with which its place was screened."""
-    if not candidate.form.finer_than:
-        return None
-    place = (str(candidate.site), candidate.form.family, candidate.effect.variables)
-    return next(
-        (
-            replace(each, form=candidate.form.name)
-            for each in found
-            if (each.site, each.family, each.variables) == place
-        ),
-        None,
-    )
+    """That of a candidate; of a finer curve, that of the one with which its place was screened."""
+    site, form, variables = str(candidate.site), candidate.form, candidate.effect.variables
+    there = [each for each in found if (each.site, each.variables) == (site, variables)]
+    own = [each for each in there if each.form == form.name]
+    coarse = [each for each in there if form.finer_than and each.family == form.family]
+    return next((replace(each, form=form.name) for each in (*own, *coarse)), None)
 
 
 def compared_structures(
     records: StackedRecords, base: FittedModel, end: RoundEnd, floor: float, step: int
 ) -> list[ComparedStructure]:
-    """The structures of a round, the best first.
-
-    Parameters
-    ----------
-    base
-        The declared model, fitted.
-    end
-        Of the round.
-    floor
-        Sum of squares that the noise alone would leave.
-    step
-        The number of the round.
-    """
+    """The structures of a round, the best first; `floor` is what the noise alone would leave."""
     return [
         replace(
             compared_structure(records, base, contender.fitted, floor, step),

@@ -9,19 +9,18 @@ wrong name, so it is refitted from the declared parameters and with other shapes
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import SHORTENED, FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
+from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     gauss_newton_step,
     longest_step,
 )
-from cluster_est.closed_loop.selection.prediction import is_usable
 from cluster_est.closed_loop.selection.refits import SHORT, full_refit
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
@@ -63,17 +62,13 @@ BRIEF = LeastSquares(trials=1, max_iterations=8, ftol=1e-4, xtol=1e-5, differenc
 def fit_declared(
     fitter: Fitter, start: FitStart, count: int, known: FittedModel | None = None
 ) -> FittedModel:
-    """Fit from the user's start, and from others unless that reaches the noise.
+    """Fit from the user's start, and from some others unless that reaches the noise.
 
     With process noise it is the one start: a filter follows what is measured from wherever it
     stands, so that there is no growing along a record.
 
     Parameters
     ----------
-    start
-        Of the model.
-    count
-        Number of starts where one is not enough.
     known
         The fit from the user's start, where there is one.
 
@@ -99,12 +94,12 @@ def fit_declared(
 
 def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
     """Return whether the residual is as small as its own roughness says it can be."""
-    noise = noise_of(fitter, fitted.residuals)
-    for output, sigma in enumerate(noise.tolist()):
-        part = fitted.residuals[fitter.records.of_output(output)]
-        if len(part) and np.sqrt(np.mean(part**2)) > DECLARED_MODEL.at_noise * sigma:
-            return False
-    return True
+    most = DECLARED_MODEL.at_noise * noise_of(fitter, fitted.residuals)
+    parts = fitter.records.by_output(fitted.residuals)
+    return not any(
+        len(part) and np.sqrt(np.mean(part**2)) > level
+        for part, level in zip(parts, most.tolist(), strict=True)
+    )
 
 
 def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | None]:
@@ -114,8 +109,8 @@ def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | Non
         fits = fitter.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
         alive = sorted((f for f in fits if f is not None), key=lambda f: f.sse)
         starts = [
-            FitStart(start.problem, fitter.measured_estimates(f, horizon), start.added)
-            for f in _distinct(alive, DECLARED_MODEL.distinct)[:survivors]
+            replace(start, values=fitter.measured_estimates(f, horizon))
+            for f in _distinct(alive)[:survivors]
         ]
     return fitter.fit(LoopStage.DECLARED_MODEL, starts, THOROUGH)
 
@@ -130,27 +125,23 @@ def _spread(fitter: Fitter, start: FitStart, count: int) -> list[FitStart]:
     sampler = qmc.Sobol(max(1, len(shared)), rng=fitter.generator(1))
     cube = 2.0 * sampler.random(1 << (count - 1).bit_length())[:count] - 1.0
     cube[0] = 0.0
-    spread = DECLARED_MODEL.spread
-    return [
-        FitStart(start.problem, space.estimates(_moved(space, shared, row, spread)), start.added)
-        for row in cube
-    ]
+    return [replace(start, values=space.estimates(_moved(space, shared, row))) for row in cube]
 
 
-def _moved(space: SearchSpace, shared: Sequence[int], row: FloatArray, spread: float) -> FloatArray:
+def _moved(space: SearchSpace, shared: Sequence[int], row: FloatArray) -> FloatArray:
     x = space.start.copy()
     for i, way in zip(shared, row.tolist(), strict=False):
-        x[i] += spread * way * (1.0 if space.unknowns[i].log else space.typical[i])
+        size = 1.0 if space.unknowns[i].log else space.typical[i]
+        x[i] += DECLARED_MODEL.spread * way * size
     return np.asarray(np.clip(x, space.lower, space.upper))
 
 
-def _distinct(fits: Sequence[FittedModel], distance: float) -> list[FittedModel]:
+def _distinct(fits: Sequence[FittedModel]) -> list[FittedModel]:
     """Fits at different points, the best of each."""
     kept: list[FittedModel] = []
     for fit in fits:
-        log = fit.space.logarithmic
-        sizes = np.where(log, 1.0, np.maximum(np.abs(fit.x), fit.space.typical))
-        if all(np.abs((fit.x - other.x) / sizes).max() > distance for other in kept):
+        sizes = longest_step(fit.space, fit.x, DECLARED_MODEL.distinct)
+        if all(np.any(np.abs(fit.x - other.x) > sizes) for other in kept):
             kept.append(fit)
     return kept
 
@@ -158,17 +149,12 @@ def _distinct(fits: Sequence[FittedModel], distance: float) -> list[FittedModel]
 def refit_from_other_starts(
     fitter: Fitter, declared: FittedModel, grown: FittedModel
 ) -> FittedModel:
-    """Refit from the declared parameters, and with shapes at the best points of their grids.
+    """Refit a structure from the declared parameters, and with shapes at the best points of grids.
 
     The declared parameters are those of the fitted model, and the user's own starts: what has to
     make room for a missing effect may have led the fit to where there is no way back. Every point
     of a grid is simulated; the best are refitted a little, and the best of those to convergence,
     the user's starts in any case.
-
-    Returns
-    -------
-    FittedModel
-        The same structure where it fits best.
     """
     values = grown.estimates
     space = fitter.space(grown.start)
@@ -222,16 +208,12 @@ def _best_first(
 
 
 def _adapted(
-    grown: FittedModel,
-    space: SearchSpace,
-    point: FloatArray,
-    residuals: FloatArray,
+    grown: FittedModel, space: SearchSpace, point: FloatArray, residuals: FloatArray
 ) -> FloatArray:
     """A point, after the Gauss-Newton step of all unknowns that it has in common with the fit."""
     same = point == grown.x
     step = gauss_newton_step(grown.jacobian[:, same], residuals)
-    largest = REFINEMENT.largest_step
-    most = longest_step(space, grown.x, largest)[same]
+    most = longest_step(space, grown.x, REFINEMENT.largest_step)[same]
     moved = point.copy()
     moved[same] += np.clip(step, -most, most)
     return np.asarray(np.clip(moved, space.lower, space.upper))
@@ -240,24 +222,10 @@ def _adapted(
 def _other_shapes(fitter: Fitter, grown: FittedModel) -> Iterator[FloatArray]:
     """The fit, with the shape of one effect at each point of its grid, in search coordinates."""
     values = grown.estimates
-    for candidate in grown.added:
-        for shape in _shapes(candidate):
-            known = {label: value for label, value in shape.items() if label in values}
-            if known:
-                start = FitStart(grown.problem, values | known, grown.added)
-                yield fitter.space(start).start
-
-
-def _shapes(candidate: EffectCandidate) -> list[dict[str, float]]:
-    """What is no strength, at each point of the candidate's grid; nothing where that is one."""
-    if len(candidate.grid) < 2:
-        return []
-    names = [c.name for c in candidate.form.coefficients]
-    return [
-        {
-            f"{candidate.effect.name}.{name}": value
-            for name, value in zip(names, row, strict=True)
-            if name not in candidate.strengths
-        }
-        for row in candidate.grid
-    ]
+    for candidate in (each for each in grown.added if len(each.grid) > 1):
+        labels = [f"{candidate.effect.name}.{c.name}" for c in candidate.form.coefficients]
+        strengths = [f"{candidate.effect.name}.{name}" for name in candidate.strengths]
+        free = [i for i, label in enumerate(labels) if label in values and label not in strengths]
+        for row in candidate.grid if free else ():
+            shape = {labels[i]: row[i] for i in free}
+            yield fitter.space(replace(grown.start, values=values | shape)).start

@@ -12,7 +12,7 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import Experiment, LeastSquares, LoopSettings, Output, close_loop
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.fitter import FitStart
+from cluster_est.closed_loop.fitter import SAMPLES_KEPT, FitStart
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 
@@ -118,7 +118,7 @@ def test_a_part_is_as_long_as_each_output_needs(bench, samples):
     few = Experiment("few", 0.0, 10.0, (), (Output("y", times, times**2),))
     kind = replace(shortened(bench), share=0.01)
     (cut,) = kind.of(few).outputs
-    assert len(cut.times) == min(samples, kind.samples)
+    assert len(cut.times) == min(samples, SAMPLES_KEPT)
     assert kind.of(few).stop == cut.times[-1]
 
 

@@ -13,13 +13,13 @@ from support.loop_objects import (
     made_selection,
 )
 
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.answer import (
     best_ancestors,
     ending_at,
     predicts_better,
     strength_p,
 )
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.rounds import AcceptedStructure, RejectionReason
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.parameter import Parameter

@@ -13,10 +13,11 @@ from support.loop_objects import (
     made_start,
 )
 
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.free_curves import coloured_criterion
 from cluster_est.closed_loop.selection.gates import Attempt, coloured_noise_explains, first_refusal
-from cluster_est.closed_loop.selection.pairs import PAIRS, best_pairs
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refits import PAIRS_REFITTED as FITTED
+from cluster_est.closed_loop.selection.refits import best_pairs
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 
 
@@ -148,8 +149,6 @@ def test_a_criterion_for_coloured_noise_is_not_taken_in_by_it(pole, signal, seen
     assert shares == pytest.approx(seen_by, abs=0.1 if seen_by[0] == 0.9 else 0.0)
     assert shares[1] == seen_by[1]
 
-
-FITTED = PAIRS.fitted
 
 GENERATOR = np.random.default_rng(5)
 N, COUNT = 400, 60

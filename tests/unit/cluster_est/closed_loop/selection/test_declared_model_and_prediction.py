@@ -15,7 +15,7 @@ from support.truth.systems_with_missing_effects import (
 from cluster_est import LeastSquares, LoopSettings, close_loop, detect, fit
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.fitter import FitStart
-from cluster_est.closed_loop.selection.prediction import predict, stays_bounded
+from cluster_est.closed_loop.selection.acceptance import predict, stays_bounded
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.method import GivenPoints

@@ -1,15 +1,26 @@
-"""Acceptance of an effect: prediction of what it was not fitted to, and bounded outputs."""
+"""Acceptance of a structure: prediction, bounded outputs, and functions of time to be believed.
+
+It must predict what it was not fitted to, and stay bounded where the inputs swing further.
+
+Functions of time alone, waves and drifts, must earn more than a mechanism: such a function
+describes a disturbance, and holds for these records and for no others. So it is accepted only where
+all experiments agree on it. A wave must besides be no resonance of the model itself and be seen
+often enough, and a mechanism that does nearly as much comes first.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, final
 
 import numpy as np
 from typing_extensions import override
 
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import ENLARGED, FittedModel, Fitter
 from cluster_est.closed_loop.selection.linear_model import longest_step
+from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.iteration import DAMPING_RATIO, NOTICEABLE
@@ -28,39 +39,36 @@ class AcceptanceThresholds:
 
     Attributes
     ----------
-    steps
-        Of a refit without a part, which starts close to its end. Benchmark.
-    damping
-        Of its first one: what the other parts do not determine stays. Theory: a hundredth of a
-        thousandth of the squares of the derivatives.
     largest_step
         Of a parameter: in logarithms, or as a share of its value. Benchmark.
-    few
-        Up to so many experiments, parts of their records are left out instead: without one there
-        would be one left, or none. By definition.
-    parts
-        Of a record that is left out in parts. Benchmark.
     unpredicted
         Factor on its own squares where no prediction can be simulated. Benchmark.
     reach
         Times its measured half range that an output may reach with enlarged inputs. Benchmark.
     """
 
-    steps: int = 6
-    damping: float = 1e-5
     largest_step: float = 0.5
-    few: int = 2
-    parts: int = 4
     unpredicted: float = 4.0
     reach: float = 6.0
 
 
 ACCEPTANCE = AcceptanceThresholds()
 
+FEW_EXPERIMENTS = 2
+"""Up to so many experiments, parts of their records are left out instead: without one there would
+be one left, or none."""
+QUARTERS = 4
+"""Parts of a record that is left out in parts."""
+STEPS_WITHOUT_PART = 6
+"""Of a refit without a part, which starts close to its end."""
+FIRST_DAMPING = 1e-5
+"""Of its first step, over the squares of the derivatives: what the other parts do not determine
+stays."""
+
 
 @dataclass(frozen=True)
 class LeaveOneOutPrediction:
-    """Leave-one-out prediction: a sum of squares for each part that was left out."""
+    """A sum of squares for each part that was left out."""
 
     squares: FloatArray
 
@@ -125,8 +133,8 @@ class RefitWithoutPart(Method):
         x, residuals, matrix = space.start, self.fitted, self.jacobian
         squares = float(np.sum(residuals[others] ** 2))
         own = float(np.sum(residuals[self.part] ** 2))
-        damping, simulated, sizes = ACCEPTANCE.damping, False, np.linalg.norm(matrix, axis=0)
-        for number in range(ACCEPTANCE.steps):
+        damping, simulated, sizes = FIRST_DAMPING, False, np.linalg.norm(matrix, axis=0)
+        for number in range(STEPS_WITHOUT_PART):
             step, promised = self._step(space, x, residuals, matrix, others, damping)
             if not step.any() or (number and promised <= NOTICEABLE * squares / others.sum()):
                 break
@@ -134,7 +142,7 @@ class RefitWithoutPart(Method):
             simulated |= at.ok
             left = float(np.sum(at.residuals[others] ** 2)) if at.ok else np.inf
             if not left < squares:
-                damping = max(damping, ACCEPTANCE.damping) * DAMPING_RATIO**2
+                damping = max(damping, FIRST_DAMPING) * DAMPING_RATIO**2
                 continue
             missed, direction = at.residuals - residuals - matrix @ step, sizes**2 * step
             matrix = matrix + np.outer(missed, direction / float(direction @ step))
@@ -176,17 +184,17 @@ def _parts(fitter: Fitter) -> list[IntArray]:
     """The residuals that are left out together."""
     records = fitter.records
     count = len(fitter.train)
-    if count > ACCEPTANCE.few:
+    if count > FEW_EXPERIMENTS:
         return [records.of_experiment(e) for e in range(count)]
     parts: list[IntArray] = []
     for e in range(count):
         own = [r for r in records.items if r.experiment == e]
         first = min(float(r.times[0]) for r in own if len(r.times))
         last = max(float(r.times[-1]) for r in own if len(r.times))
-        edges = np.linspace(first, last, ACCEPTANCE.parts + 1)[1:-1]
+        edges = np.linspace(first, last, QUARTERS + 1)[1:-1]
         owner = np.concatenate([np.searchsorted(edges, r.times, side="right") for r in own])
         rows = np.concatenate([np.arange(r.rows.start, r.rows.stop) for r in own])
-        parts += [rows[owner == q] for q in range(ACCEPTANCE.parts) if np.any(owner == q)]
+        parts += [rows[owner == q] for q in range(QUARTERS) if np.any(owner == q)]
     return parts
 
 
@@ -209,9 +217,7 @@ def stays_bounded(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> 
         return True  # such inputs are beyond the model itself
     if not at.ok:
         return False
-    most = ACCEPTANCE.reach
-    for experiment, outcome, known in zip(fitter.train, at.outcomes, usual.outcomes, strict=True):
-        run = fitter.problem.experiments[experiment]
+    for run, outcome, known in zip(fitter.runs, at.outcomes, usual.outcomes, strict=True):
         first = 0
         for output in run.outputs:
             part = slice(first, first + len(output.times))
@@ -222,7 +228,8 @@ def stays_bounded(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> 
             reach = np.abs(output.values - mean).max()
             if known.residuals is not None:
                 reach = max(reach, _reach(output, known.residuals[part], mean))
-            if _reach(output, outcome.residuals[part], mean) > most * reach + 1e-9 * abs(mean):
+            most = ACCEPTANCE.reach * reach + 1e-9 * abs(mean)
+            if _reach(output, outcome.residuals[part], mean) > most:
                 return False
     return True
 
@@ -243,3 +250,138 @@ def can_be_linearised(fitter: Fitter, fitted: FittedModel) -> bool:
 def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
     """Largest distance of a simulated output from a mean."""
     return float(np.abs(output.values - output.sigmas * residuals - mean).max())
+
+
+@dataclass(frozen=True)
+class WaveThresholds:
+    """Thresholds that a wave in time must pass beside all others.
+
+    Attributes
+    ----------
+    periods
+        That the longest record must have of a wave. Signal: of fewer a drift looks the same.
+    nearly
+        Share of what it explains that a mechanism must explain to come first. Benchmark.
+    apart
+        Of its strength, by which the experiments may want another function of time on average.
+        Theory: with phases or signs at random what all share is smaller than what each wants.
+    """
+
+    periods: float = 3.0
+    nearly: float = 0.95
+    apart: float = 0.5
+
+
+TIME_FUNCTIONS = WaveThresholds()
+
+MODES = 5
+"""Places along a record at which the eigenvalues of the model are looked at."""
+
+
+def admissible(
+    fitter: Fitter, current: FittedModel, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """Contenders whose waves in time may be believed; the one to be chosen first.
+
+    They grow from `current`, and come with the best first.
+    """
+    left = [c for c in contenders if _is_admissible(fitter, current, c.fitted)]
+    if not left or not _waves(left[0].fitted, current):
+        return left
+    gain = current.sse - left[0].fitted.sse
+    least = TIME_FUNCTIONS.nearly * gain
+    others = [c for c in left if not _waves(c.fitted, current) and not c.candidate.form.free]
+    first = [c for c in others if current.sse - c.fitted.sse >= least]
+    return [*first, *(c for c in left if c not in first)] if first else left
+
+
+def period_of(candidate: EffectCandidate, fitted: FittedModel) -> float:
+    """Return the period in seconds of a wave in time; NaN for what is none."""
+    frequency = fitted.estimates.get(f"{candidate.effect.name}.f", np.nan)
+    wave = candidate.form.of_time_alone and frequency > 0.0
+    return 2.0 * np.pi / frequency if wave else np.nan
+
+
+def residuals_without(fitted: FittedModel, candidate: EffectCandidate) -> FloatArray:
+    """Return the residuals that a wave in time leaves when it is taken away, to first order."""
+    labels = [u.label for u in fitted.space.unknowns]
+    sine_and_cosine = [f"{candidate.effect.name}.{part}" for part in ("a", "b")]
+    columns = [labels.index(name) for name in sine_and_cosine if name in labels]
+    return fitted.residuals - fitted.jacobian[:, columns] @ fitted.x[columns]
+
+
+def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
+    """The effects that are new, and waves in time."""
+    new = [c for c in fitted.added if c.effect.name not in current.structure]
+    return [c for c in new if np.isfinite(period_of(c, fitted))]
+
+
+def _is_admissible(fitter: Fitter, current: FittedModel, fitted: FittedModel) -> bool:
+    new = [c for c in fitted.added if c.effect.name not in current.structure]
+    if not all(_agrees(fitter, fitted, c) for c in new if c.form.of_time_alone):
+        return False
+    longest = max(float(np.ptp(r.times)) for r in fitter.records.items if len(r.times))
+    periods = [period_of(candidate, fitted) for candidate in _waves(fitted, current)]
+    return all(
+        longest >= TIME_FUNCTIONS.periods * period
+        and not _is_resonance(fitter, current, 2.0 * np.pi / period)
+        for period in periods
+    )
+
+
+def _is_resonance(fitter: Fitter, current: FittedModel, frequency: float) -> bool:
+    """Return whether a frequency lies within the width of a resonance of the model.
+
+    Whatever disturbs a model with little damping leaves a residual there. A mode with eigenvalue
+    s is one where its damping ratio -Re(s) / |s| is below 1/2; its width is |Re(s)|, half of that
+    of its power, but never counted below a tenth of its frequency. Where a model is not linear its
+    modes change along a record: one that is there for less than half of it does not ring for long.
+    """
+    for trajectory in fitter.trajectories(current):
+        if trajectory.linear is None:
+            return False
+        steps = np.linspace(0, len(trajectory.linear.times) - 1, MODES).astype(int)
+        places = np.unique(steps).tolist()
+        near = [_rings_at(trajectory.linear.A.at(step), frequency) for step in places]
+        if 2 * sum(near) >= len(places):
+            return True
+    return False
+
+
+def _rings_at(matrix: FloatArray, frequency: float) -> bool:
+    """Return whether a mode of a linear system has this frequency within its width."""
+    modes = np.linalg.eigvals(matrix)
+    size = np.abs(modes)
+    rings = (modes.imag > 0.0) & (-modes.real < 0.5 * size)
+    width = np.maximum(np.abs(modes.real), 0.1 * size)
+    return bool(np.any(rings & (np.abs(modes.imag - frequency) <= width)))
+
+
+def _agrees(fitter: Fitter, fitted: FittedModel, candidate: EffectCandidate) -> bool:
+    """Return whether each experiment by itself wants nearly the function of time that all share.
+
+    To first order, the strengths that an experiment wants are those of the fit and the step of
+    least squares on its own residual. Of that step, what white noise alone would make is allowed
+    for. With one experiment there is nothing to compare.
+    """
+    labels = [u.label for u in fitted.space.unknowns]
+    names = [f"{candidate.effect.name}.{strength}" for strength in candidate.strengths]
+    if len(fitter.train) < 2 or not names or not all(name in labels for name in names):
+        return True
+    columns = [labels.index(name) for name in names]
+    shared = np.array([fitted.x[column] for column in columns])
+    squares, weights = [], []
+    for rows in fitted.space.rows:
+        own: FloatArray = fitted.jacobian[rows][:, columns]
+        size = float(np.linalg.norm(own))
+        if size > 0.0:
+            inverse = np.linalg.pinv(own, rcond=1e-6)
+            step = -inverse @ fitted.residuals[rows]
+            left = fitted.residuals[rows] + own @ step
+            noise = float(np.mean(left**2)) * float(np.add.reduce(inverse**2, axis=None))
+            squares.append(float(step @ step) - noise)
+            weights.append(size)
+    if not squares:
+        return True
+    apart = float(np.sqrt(max(np.average(squares, weights=weights), 0.0)))
+    return apart <= TIME_FUNCTIONS.apart * float(np.linalg.norm(shared))
