@@ -38,6 +38,11 @@ COLUMNS = 500
 MOST_SECONDS = 5.0
 """That a simulation of the run takes on average, up to which one is repeated for who looks."""
 
+NOT_YET = (
+    "There are no curves yet: a fit has them from its first point on, a closed loop after a round "
+    "that has added something."
+)
+
 
 @dataclass(frozen=True)
 class OutputCurve:
@@ -117,9 +122,7 @@ class CurveSource:
                     self.close()
                     return self._stored(facts, wanted)
                 if best is None:
-                    return ExperimentCurves(
-                        said="There are no curves before there is a best point."
-                    )
+                    return ExperimentCurves(said=NOT_YET)
                 if seconds > MOST_SECONDS:
                     said = f"A simulation takes about {duration(seconds)}, too long to repeat it"
                     return ExperimentCurves(said=f"{said} here; curves come with the result.")

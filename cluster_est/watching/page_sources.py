@@ -96,7 +96,8 @@ class RunPages:
         self._rows: dict[str, RunRow] = {}
         self._runs: dict[str, FollowedRun] = {}
         self._looking = threading.Lock()
-        self._asked = self._ended_seen = -np.inf
+        self._asked = -np.inf
+        self._end_seen = self._end_drawn = False
 
     def state(self, run: str) -> dict[str, Any]:
         """Return the state of a run by its name; of the run or of all runs of the folder if "".
@@ -112,8 +113,7 @@ class RunPages:
                 rows = [self._row(name).look() for name in runs_below(self._folder)]
             return {"name": self._folder.name, "runs": rows}
         found = self._run(run).state()
-        if not found["goes_on"]:
-            self._ended_seen = time.monotonic()
+        self._end_seen = not found["goes_on"]
         return found
 
     def curves(self, run: str, experiment: str) -> dict[str, Any]:
@@ -124,7 +124,9 @@ class RunPages:
         RunFolderError
             If there is no such run, or it is damaged.
         """
-        return self._run(run).curves(experiment)
+        found = self._run(run).curves(experiment)
+        self._end_drawn = self._end_seen
+        return found
 
     def stop(self, run: str) -> dict[str, Any]:
         """Have a run end as Ctrl-C ends it.
@@ -149,7 +151,7 @@ class RunPages:
         """Wait until a page that is open has seen that the run has ended, but not for longer."""
         begun = time.monotonic()
         while time.monotonic() - begun < seconds:
-            if begun - self._asked > SECONDS_OF_INTEREST or self._ended_seen > begun:
+            if begun - self._asked > SECONDS_OF_INTEREST or self._end_drawn:
                 return
             time.sleep(0.05)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import calendar
 import math
 import time
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,13 @@ import numpy as np
 from cluster_est.errors import RunFolderError
 from cluster_est.html_report.activity import LogActivity, busy_shares, without_breaks
 from cluster_est.html_report.curve_section import extremes
-from cluster_est.run_folder.run_files import RunStatus, left_alone, read_facts, read_run_table
+from cluster_est.run_folder.run_files import (
+    RunStatus,
+    left_alone,
+    read_config_text,
+    read_facts,
+    read_run_table,
+)
 from cluster_est.run_folder.run_progress import (
     PROGRESS,
     ProgressTail,
@@ -34,6 +41,9 @@ MOST_COST_LINES, MOST_SEARCHES, MOST_FAILURES = 40, 12, 8
 MOST_PARAMETERS = 200
 MOST_WORKERS, BUSY_BINS = 16, 60
 MOST_OVERVIEW_PARAMETERS = 6
+BOUNDS = ("lower", "upper")
+SHOWN = ("label", "value", "unit", "start", *BOUNDS, "std_error", "at_bound")
+"""Columns of a run's parameters that its page shows."""
 
 
 def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]:
@@ -51,9 +61,9 @@ def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]
             f"{each['words']} at {each['site']}" for each in facts.get("effects") or ()
         ],
         **_doing(state if going_on else None),
-        "seconds": facts.get("seconds") if state is None else state.seconds,
+        "seconds": _known("seconds", facts, state),
         "quiet": view.quiet if going_on else 0.0,
-        "evaluations": facts.get("evaluations") if state is None else state.evaluations,
+        "evaluations": _known("evaluations", facts, state),
         "simulations": view.simulations,
         "failed": view.failed,
         "rate": view.rate if going_on else None,
@@ -90,6 +100,12 @@ def best_cost(facts: Mapping[str, Any], traces: SearchTraces) -> float | None:
     if known is not None:
         return float(known)
     return None if traces.best is None else traces.best.cost
+
+
+def _known(name: str, facts: Mapping[str, Any], state: RunSnapshot | None) -> Any:
+    """Return a number of a run: as it has written it at its end, else as it said it last."""
+    known = None if facts["status"] == RunStatus.RUNNING else facts.get(name)
+    return getattr(state, name, None) if known is None else known
 
 
 def _doing(state: RunSnapshot | None) -> dict[str, Any]:
@@ -141,18 +157,32 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
     """Return the parameters of what was found, or of the best point of a fit so far."""
     table = run_folder / "parameters.parquet"
     if table.is_file() and (view.ended or view.facts.get("verdict") is not None):
-        kept = ("label", "value", "unit", "start", "lower", "upper", "std_error", "at_bound")
-        rows = read_run_table(table)
-        return [_plain({name: row.get(name) for name in kept}) for row in rows[:MOST_PARAMETERS]]
-    best, values = view.traces.best, view.traces.values
-    if best is None:
+        rows = [{name: row.get(name) for name in SHOWN} for row in read_run_table(table)]
+    elif view.traces.best is not None:
+        declared = _declared(run_folder)
+        values = view.traces.best.values.items()
+        rows = [
+            {"label": label, "value": value, **declared.get(label.partition("[")[0], {})}
+            for label, value in values
+        ]
+    else:
         return []
-    rows = []
-    for label, value in list(best.values.items())[:MOST_PARAMETERS]:
-        went = values.get(label, [])
-        line = _thin(list(enumerate(went)), SMALL_COLUMNS) if went else []
-        rows.append(_plain({"label": label, "value": value, "line": line}))
-    return rows
+    traced = view.traces.values
+    lines = {label: _thin([*enumerate(went)], SMALL_COLUMNS) for label, went in traced.items()}
+    return [_plain({**row, "line": lines.get(row["label"], [])}) for row in rows[:MOST_PARAMETERS]]
+
+
+def _declared(run_folder: Path) -> dict[str, dict[str, float]]:
+    """Return start and bounds of each parameter, where the config gives them as numbers."""
+    sections = tomllib.loads(read_config_text(run_folder)).get("parameters", {})
+    found: dict[str, dict[str, float]] = {}
+    for name, section in sections.items():
+        start, bounds = section.get("start"), section.get("bounds", [])
+        own = {} if not isinstance(start, float) else {"start": start}
+        if len(bounds) == len(BOUNDS):
+            own |= dict(zip(BOUNDS, bounds, strict=True))
+        found[name] = own
+    return found
 
 
 def _busy(activity: LogActivity) -> list[dict[str, Any]]:
@@ -223,9 +253,9 @@ class RunRow:
             "message": facts.get("message") or left_alone(self.path, str(facts["status"])),
             "cost": best_cost(facts, traces),
             "age": _age(facts.get("started")),
-            "seconds": facts.get("seconds") if state is None else state.seconds,
-            "simulations": facts.get("simulations") if state is None else state.simulations,
-            "failed": facts.get("failures") if state is None else state.failures,
+            "seconds": _known("seconds", facts, state),
+            "simulations": _known("simulations", facts, state),
+            "failed": _known("failures", facts, state),
             **_doing(state if goes_on else None),
             "line": _thin(points, COST_COLUMNS) if points else [],
             "values": {} if best is None else _first(best.values),
