@@ -29,6 +29,8 @@ from cluster_est.errors import ClusterEstError, RunFolderError
 from cluster_est.watching.page_sources import RunPages
 
 LOOPBACK = "127.0.0.1"
+SECONDS_TO_NOTICE = 0.05
+"""That the server takes to see that it is closed."""
 SECONDS_OF_REQUEST = 30.0
 """After which a connection that says nothing is closed."""
 REFUSED = "this page opens by the address that the command has printed, on this machine alone"
@@ -78,7 +80,9 @@ class LivePage:
             ) from error
         self.host, self.port = self._server.server_address[:2]
         self.address = f"http://{LOOPBACK}:{self.port}/?token={token}"
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(SECONDS_TO_NOTICE,), daemon=True
+        )
 
     def __enter__(self) -> Self:
         self._thread.start()

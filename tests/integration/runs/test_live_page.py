@@ -104,14 +104,13 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG)
-@pytest.mark.parametrize(
-    ("method", "path"), [("GET", "/"), ("GET", "/state"), ("GET", "/curves"), ("POST", "/stop")]
-)
-def test_everybody_else_is_refused(begun, wrong, method, path):
+def test_everybody_else_is_refused(begun, wrong):
+    asked = [("GET", "/"), ("GET", "/state"), ("GET", "/curves"), ("GET", "/x"), ("POST", "/stop")]
     with LivePage(begun.path) as page:
-        answer, content = Visitor(page).ask(path, method, **WRONG[wrong])
-    assert answer.status == 403
-    assert b"the address that the command has printed" in content
+        for method, path in asked:
+            answer, content = Visitor(page).ask(path, method, **WRONG[wrong])
+            assert answer.status == 403, path
+            assert b"the address that the command has printed" in content
     assert not (begun.path / "stop").exists()
 
 
@@ -349,6 +348,7 @@ def endless(tmp_path):
         process.kill()
 
 
+@pytest.mark.slow
 def test_in_a_browser_figures_move_and_the_button_stops_the_run(endless, tmp_path):
     path = chromium()
     if path is None:
