@@ -63,9 +63,10 @@ _BY_NAME = {name: own for names, own in _UNITS for name in names.split()}
 _RELATIVE = frozenset({"degC", "celsius", "degF", "fahrenheit"})
 """Those whose 0 is not that of the quantity."""
 _PREFIXES = (
-    *"qryzafpnumcdhkMGTPEZYRQ", "da", "quecto", "ronto", "yocto", "zepto", "atto", "femto", "pico", "nano", "micro", "milli",
-    "centi", "deci", "deca", "deka", "hecto", "kilo", "mega", "giga", "tera", "peta", "exa",
-    "zetta", "yotta", "ronna", "quetta",
+    *"qryzafpnumcdhkMGTPEZYRQ", "da",
+    "quecto", "ronto", "yocto", "zepto", "atto", "femto", "pico", "nano", "micro", "milli", "centi",
+    "deci", "deca", "deka", "hecto", "kilo", "mega", "giga", "tera", "peta", "exa", "zetta",
+    "yotta", "ronna", "quetta",
 )  # fmt: skip
 _NO_UNIT = frozenset({"pH"})
 """What would be one of another quantity by its prefix."""
