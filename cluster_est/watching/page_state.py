@@ -169,7 +169,9 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
         return []
     traced = view.traces.values
     lines = {label: _thin([*enumerate(went)], SMALL_COLUMNS) for label, went in traced.items()}
-    return [_plain({**row, "line": lines.get(str(row["label"]), [])}) for row in rows[:MOST_PARAMETERS]]
+    return [
+        _plain({**row, "line": lines.get(str(row["label"]), [])}) for row in rows[:MOST_PARAMETERS]
+    ]
 
 
 def _declared(run_folder: Path) -> dict[str, dict[str, float]]:
