@@ -38,7 +38,8 @@ class UncertaintySettings(Settings):
     posterior: Count = Field(
         0,
         description="steps of each walker that draws from the posterior, some thousands: the "
-        "chains must be 50 times as long as their draws stay alike; 0: none",
+        "chains must be 50 times as long as their draws stay alike; 0: none; needs "
+        "cluster-est[posterior]",
     )
     walkers: Count = Field(
         0, description="their number; 0: four times the unknowns, and 16 at least"
