@@ -33,9 +33,9 @@ from cluster_est.running.resources import BestPoint
 from workers.messages import FloatArray, Limits, Outcome, Output, Task
 from workers.process.supervisor import SupervisedEvaluator
 
-COLUMNS = 500
+CURVE_COLUMNS = 500
 """Of a chart, each of which shows the lowest and the highest sample."""
-MOST_SECONDS = 5.0
+MOST_SECONDS_TO_REPEAT = 5.0
 """That a simulation of the run takes on average, up to which one is repeated for who looks."""
 
 NOT_YET = (
@@ -123,7 +123,7 @@ class CurveSource:
                     return self._stored(facts, wanted)
                 if best is None:
                     return ExperimentCurves(said=NOT_YET)
-                if seconds > MOST_SECONDS:
+                if seconds > MOST_SECONDS_TO_REPEAT:
                     said = f"A simulation takes about {duration(seconds)}, too long to repeat it"
                     return ExperimentCurves(said=f"{said} here; curves come with the result.")
                 return self._simulator(facts).curves(best, wanted)
@@ -269,9 +269,9 @@ def _column(table: pa.Table, name: str) -> FloatArray:
 
 def _thinned(curve: OutputCurve) -> OutputCurve:
     """Keep of each curve what is seen of it."""
-    kept = extremes(curve.time, curve.measured, COLUMNS)
+    kept = extremes(curve.time, curve.measured, CURVE_COLUMNS)
     pairs = [y for y in (curve.after, curve.before) if len(y)]
-    parts = [extremes(curve.fine, y, COLUMNS) for y in pairs]
+    parts = [extremes(curve.fine, y, CURVE_COLUMNS) for y in pairs]
     fine = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.int64)
     before = curve.before[fine] if len(curve.before) else curve.before
     return OutputCurve(

@@ -37,12 +37,12 @@ from cluster_est.watching.traces import SearchTraces, is_of_fit
 
 COST_COLUMNS, SMALL_COLUMNS = 300, 40
 """Of a chart of costs, and of a small line in a table."""
-MOST_COST_LINES, MOST_SEARCHES, MOST_FAILURES = 40, 12, 8
-MOST_PARAMETERS = 200
-MOST_WORKERS, BUSY_BINS = 16, 60
+MOST_COST_LINES, MOST_PAGE_SEARCHES, MOST_PAGE_FAILURES = 40, 12, 8
+MOST_PAGE_PARAMETERS = 200
+MOST_PAGE_WORKERS, BUSY_BINS = 16, 60
 MOST_OVERVIEW_PARAMETERS = 6
 BOUNDS = ("lower", "upper")
-SHOWN = ("label", "value", "unit", "start", *BOUNDS, "std_error", "at_bound")
+PARAMETER_COLUMNS = ("label", "value", "unit", "start", *BOUNDS, "std_error", "at_bound")
 """Columns of a run's parameters that its page shows."""
 
 
@@ -82,12 +82,12 @@ def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]
                 "best": each.best,
                 "ending": each.last.ending,
             }
-            for each in view.searches[-MOST_SEARCHES:]
+            for each in view.searches[-MOST_PAGE_SEARCHES:]
         ],
         "all_searches": len(view.searches),
         "failures": [
             {"count": f.count, "status": f.status, "message": f.message, "first": f.first}
-            for f in view.failures[:MOST_FAILURES]
+            for f in view.failures[:MOST_PAGE_FAILURES]
         ],
         "all_failures": len(view.failures),
         "busy_shares": _busy(activity),
@@ -157,7 +157,9 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
     """Return the parameters of what was found, or of the best point of a fit so far."""
     table = run_folder / "parameters.parquet"
     if table.is_file() and (view.ended or view.facts.get("verdict") is not None):
-        rows = [{name: row.get(name) for name in SHOWN} for row in read_run_table(table)]
+        rows = [
+            {name: row.get(name) for name in PARAMETER_COLUMNS} for row in read_run_table(table)
+        ]
     elif view.traces.best is not None:
         declared = _declared(run_folder)
         values = view.traces.best.values.items()
@@ -170,7 +172,8 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
     traced = view.traces.values
     lines = {label: _thin([*enumerate(went)], SMALL_COLUMNS) for label, went in traced.items()}
     return [
-        _plain({**row, "line": lines.get(str(row["label"]), [])}) for row in rows[:MOST_PARAMETERS]
+        _plain({**row, "line": lines.get(str(row["label"]), [])})
+        for row in rows[:MOST_PAGE_PARAMETERS]
     ]
 
 
@@ -194,7 +197,8 @@ def _busy(activity: LogActivity) -> list[dict[str, Any]]:
     _, shares = busy_shares(without_breaks(activity)[0], BUSY_BINS)
     pairs = sorted(zip(activity.workers, shares, strict=True), key=lambda pair: pair[0])
     return [
-        {"worker": name, "shares": np.round(own, 2).tolist()} for name, own in pairs[:MOST_WORKERS]
+        {"worker": name, "shares": np.round(own, 2).tolist()}
+        for name, own in pairs[:MOST_PAGE_WORKERS]
     ]
 
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 MACHINES = {3: "x86", 40: "arm", 62: "x86_64", 183: "aarch64", 243: "riscv64"}
 """Processors, by e_machine."""
-LOADED, DYNAMIC = 1, 2
+LOADED_SEGMENT, DYNAMIC_SEGMENT = 1, 2
 """Segments, by p_type."""
-END, NEEDED, STRINGS, RPATH, RUNPATH = 0, 1, 5, 15, 29
+END_OF_ENTRIES, NEEDED, STRINGS, RPATH, RUNPATH = 0, 1, 5, 15, 29
 """Entries of the dynamic segment, by d_tag."""
 
 
@@ -102,10 +102,10 @@ def _entries(
     """Give the entries of the dynamic segment, up to the one that ends them."""
     step = struct.calcsize(order + layout.entry)
     for segment in segments:
-        if segment.kind == DYNAMIC:
+        if segment.kind == DYNAMIC_SEGMENT:
             for place in range(segment.offset, segment.offset + segment.size - step + 1, step):
                 tag, value = struct.unpack_from(order + layout.entry, content, place)
-                if tag == END:
+                if tag == END_OF_ENTRIES:
                     return
                 yield tag, value
             return
@@ -114,7 +114,7 @@ def _entries(
 def _text(content: bytes, segments: list[_Segment], table: int, place: int) -> str:
     """Return a text of the table of strings, which is known by its address in memory."""
     for segment in segments:
-        if segment.kind == LOADED and 0 <= table - segment.address < segment.size:
+        if segment.kind == LOADED_SEGMENT and 0 <= table - segment.address < segment.size:
             begin = table - segment.address + segment.offset + place
             return os.fsdecode(content[begin : content.index(b"\0", begin)])
     raise ValueError("its strings are in no segment")

@@ -17,12 +17,12 @@ from workers.fmu.xml import UnitDefinition
 
 @dataclass(frozen=True)
 class Dimension:
-    """The powers of `BASES` in a unit.
+    """The powers of the base units in a unit.
 
     Attributes
     ----------
     powers
-        In the order of `BASES`.
+        In the order of `unit_text.BASES`.
     absolute
         0 of the unit is that of the quantity; false for degrees Celsius.
     """
