@@ -6,13 +6,21 @@ power of its own, or the speed of a shaft could not be told from a rate.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING
 
-from cluster_est.closed_loop.findings.unit_text import Powers, powers, read_unit
 from workers.effects.site import is_difference, parts_of
 from workers.fmu.description import ModelDescription
 from workers.fmu.xml import UnitDefinition
+
+if TYPE_CHECKING:  # it is slow to import, and most runs have no use for it
+    import pint
+
+BASES = ("mass", "length", "time", "current", "temperature", "substance", "luminosity", "angle")
+"""In the order of an FMU's definitions, by pint's names."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,7 @@ class Dimension:
         0 of the unit is that of the quantity; false for degrees Celsius.
     """
 
-    powers: Powers
+    powers: tuple[float, ...]
     absolute: bool = True
 
     def same_as(self, *others: Dimension) -> bool:
@@ -35,14 +43,14 @@ class Dimension:
         return any(self.powers == other.powers for other in others)
 
     @property
-    def without_angle(self) -> Powers:
+    def without_angle(self) -> tuple[float, ...]:
         """The powers of all but the angle, which many tools leave out."""
         return self.powers[:-1]
 
 
-def dimension(**given: float) -> Dimension:
+def dimension(**powers: float) -> Dimension:
     """Return a dimension by the names of its bases: `dimension(length=1, time=-1)`."""
-    return Dimension(powers(**given))
+    return Dimension(tuple(float(powers.get(name, 0.0)) for name in BASES))
 
 
 NUMBER = dimension()
@@ -103,8 +111,7 @@ def dimension_of(unit: str, definitions: Mapping[str, UnitDefinition]) -> Dimens
     Where both are known and contradict each other in more than an angle, which tools often leave
     out, nothing is known.
     """
-    said = read_unit(unit)
-    by_text = None if said is None else Dimension(said.powers, said.absolute)
+    by_text = _dimension_of_text(unit)
     definition = definitions.get(unit)
     if definition is None:
         return by_text
@@ -114,3 +121,85 @@ def dimension_of(unit: str, definitions: Mapping[str, UnitDefinition]) -> Dimens
     if by_text.without_angle != defined.without_angle:
         return None
     return by_text if by_text.powers[-1] else defined
+
+
+LONGEST_UNIT = 60
+"""Signs of a unit's text; what is longer is none."""
+SPELLINGS = {
+    "°C": "degC", "℃": "degC", "°F": "degF", "°": "deg", "Ω": "ohm", "\u2126": "ohm",
+    "\u00b5": "u", "\u03bc": "u", "·": "*", "\u22c5": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1",
+    "^": "**", "\u2212": "-",
+}  # fmt: skip
+WORDS = {
+    "Ohm": "ohm", "Nm": "N*m", "Ns": "N*s", "Cel": "degC", "RPM": "rpm", "rev": "revolution",
+    "sec": "s", "Celsius": "degC", "Kelvin": "kelvin",
+}  # fmt: skip
+KNOWN_NAMES = frozenset({
+    "meter", "inch", "foot", "mile", "gram", "metric_ton", "pound", "second", "minute", "hour",
+    "day", "ampere", "kelvin", "degree_Celsius", "degree_Fahrenheit", "degree_Rankine", "mole",
+    "candela", "lumen", "lux", "radian", "degree", "revolution", "turn",
+    "revolutions_per_minute", "hertz", "newton", "kilogram_force", "force_kilogram", "pound_force",
+    "force_pound", "pascal", "bar", "standard_atmosphere", "pound_force_per_square_inch", "torr",
+    "joule", "watt_hour", "calorie", "electron_volt", "watt", "metric_horsepower", "volt", "ohm",
+    "siemens", "farad", "henry", "coulomb", "ampere_hour", "weber", "tesla", "liter", "percent",
+    "ppm", "knot", "kilometer_per_hour", "mile_per_hour", "poise", "stokes", "dimensionless",
+})  # fmt: skip
+"""Units that measurements come in; pint knows more, and reads "pu" as a tiny mass."""
+ANGLES = frozenset({"radian", "degree", "revolution", "turn", "revolutions_per_minute"})
+"""For pint an angle is a plain number."""
+RELATIVE = frozenset({"degree_Celsius", "degree_Fahrenheit"})
+"""Those whose 0 is not that of the quantity."""
+AMBIGUOUS = re.compile(r"\b(C|F|pH)\b")
+"""For pint coulomb, farad and picohenry; but people write Celsius, Fahrenheit and acidity so."""
+_EXPONENT = re.compile(r"(?<=[A-Za-z%)])(-?\d+)")
+_POINT = re.compile(r"(?<=[A-Za-z)\d])\.(?=[A-Za-z(])")
+_ALLOWED = re.compile(r"[\w*/(). +\-%]*", re.ASCII)
+_TOO_MUCH = re.compile(r"\d{4}|\*\*\s*-?[\d.]+\s*\*\*|\*\*\s*\(")
+
+
+@lru_cache(maxsize=1024)
+def _dimension_of_text(unit: str) -> Dimension | None:
+    """The dimension of "m/s2", "rad/s", "degC", "W/(m2.K)"; None of what says nothing.
+
+    "1" and "%" are numbers; an empty text may mean anything, so it says nothing.
+    """
+    text = unit.strip()
+    if not text or len(text) > LONGEST_UNIT:
+        return None
+    if text in ("1", "%"):
+        return NUMBER
+    text = _spelled(text)
+    if not _ALLOWED.fullmatch(text) or _TOO_MUCH.search(text) or AMBIGUOUS.search(text):
+        return None
+    registry = _registry()
+    try:
+        found = registry.Unit(text)
+        powers = {str(base): float(str(own)) for base, own in found.dimensionality.items()}
+        parts = [
+            (registry.parse_unit_name(name)[0][1], float(str(own)))
+            for name, own in found._units.items()
+        ]
+    except Exception:  # what is no unit may fail in any part of pint's parser
+        return None
+    names = {name for name, _ in parts}
+    if not names <= KNOWN_NAMES:
+        return None
+    powers["[angle]"] = sum(own for name, own in parts if name in ANGLES)
+    absolute = not names & RELATIVE
+    return Dimension(tuple(powers.get(f"[{base}]", 0.0) for base in BASES), absolute)
+
+
+def _spelled(unit: str) -> str:
+    """A unit as pint writes it."""
+    for sign, usual in SPELLINGS.items():
+        unit = unit.replace(sign, usual)
+    unit = _EXPONENT.sub(r"**\1", _POINT.sub("*", unit))
+    return re.sub(r"[A-Za-z]+", lambda m: WORDS.get(m.group(), m.group()), unit)
+
+
+@cache
+def _registry() -> pint.UnitRegistry[float]:
+    """All that pint knows."""
+    import pint
+
+    return pint.UnitRegistry()
