@@ -6,15 +6,13 @@ reads them. `cluster_est.cli.document` declares the fields.
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from rich.console import Console
 from typing_extensions import override
-
-from cluster_est.screen import Screen, aligned
 
 Cell = Callable[[dict[str, Any]], str]
 """What stands in a column of a row."""
@@ -71,7 +69,8 @@ class Answer(ABC):
 
 
 def _print_error(text: str) -> None:
-    Screen(sys.stderr).print(f"cluster-est: {text}")
+    errors = Console(stderr=True, markup=False, highlight=False, emoji=False)
+    errors.print(f"cluster-est: {text}", soft_wrap=True)
 
 
 class PrintedAnswer(Answer):
@@ -79,16 +78,16 @@ class PrintedAnswer(Answer):
 
     def __init__(self) -> None:
         super().__init__()
-        self._screen = Screen(sys.stdout)
+        self._console = Console(markup=False, highlight=False, emoji=False)
 
     @override
     def say(self, text: str) -> None:
-        self._screen.print(text)
+        self._console.print(text, soft_wrap=True)
 
     @override
     def tell(self, text: str) -> None:
-        width = self._screen.width
-        if self._screen.is_terminal and len(text) > width:
+        width = self._console.width
+        if self._console.is_terminal and len(text) > width:
             text = textwrap.fill(
                 text,
                 width,
@@ -100,7 +99,12 @@ class PrintedAnswer(Answer):
 
     @override
     def table(self, header: list[str], rows: Iterable[Iterable[str]]) -> None:
-        self.say("\n".join(["", *aligned([header, *([*row] for row in rows)])]))
+        lines = [header, *([*row] for row in rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        self.say("")
+        for line in lines:
+            cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+            self.say("  ".join(cells).rstrip())
 
 
 class DocumentAnswer(Answer):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
 
 from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
@@ -19,7 +22,6 @@ from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.heartbeat import beating
 from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
-from cluster_est.screen import LiveLines, Screen
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.core.build import built, is_built
 
@@ -50,7 +52,7 @@ class ProgressLine:
 
     Parameters
     ----------
-    screen
+    console
         Where to.
     budget
         What the time left is counted from.
@@ -64,26 +66,29 @@ class ProgressLine:
 
     def __init__(
         self,
-        screen: Screen,
+        console: Console,
         budget: Budget,
         cores: int | None = None,
         clock: Callable[[], float] = time.monotonic,
         *,
         most_workers: int | None = None,
     ) -> None:
-        self._budget, self._screen, self._clock = budget, screen, clock
+        self._budget, self._console, self._clock = budget, console, clock
         self._begun = self._printed = clock()
         self._hint = WorkerHint(os.cpu_count() or 1 if cores is None else cores, most_workers)
-        self._live = LiveLines(screen)
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._enabled = console.is_terminal
         self._shown = 0.0
 
     def __enter__(self) -> Self:
-        self._live.__enter__()
-        self._live.put(["starting"])
+        if self._enabled:
+            self._live.start()
+            self._put("starting")
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._live.__exit__()
+        if self._enabled:
+            self._live.stop()
 
     def show(self, snapshot: RunSnapshot) -> None:
         """Refresh, at most ten times a second."""
@@ -93,14 +98,17 @@ class ProgressLine:
         self._shown = now
         if hint := self._hint.look(snapshot):
             self._print(hint)
-        if self._screen.is_terminal:
-            self._live.put([line(snapshot, self._budget)])
+        if self._enabled:
+            self._put(line(snapshot, self._budget))
         elif now - self._printed >= max(SECONDS_OF_LINES, SHARE_OF_LINES * (now - self._begun)):
             self._printed = now
             self._print(line(snapshot, self._budget))
 
     def _print(self, text: str) -> None:
-        self._screen.print(f"cluster-est: {text}")
+        self._console.print(f"cluster-est: {text}", soft_wrap=True, highlight=False, markup=False)
+
+    def _put(self, text: str) -> None:
+        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
 
 class WorkerHint:
@@ -222,14 +230,14 @@ def terminal_listener(answer: Answer) -> Listener:
 @contextmanager
 def alive(doing: str) -> Iterator[None]:
     """Show on a terminal what is done before or after a run, and for how many seconds."""
-    screen = Screen(sys.stderr)
-    if not screen.is_terminal:
+    console = Console(stderr=True)
+    if not console.is_terminal:
         yield
         return
-    with LiveLines(screen) as live:
+    with Live(console=console, auto_refresh=False, transient=True) as live:
 
         def show(snapshot: RunSnapshot) -> None:
-            live.put([f"{doing}, {snapshot.seconds:.0f} s"])
+            live.update(Text(f"{doing}, {snapshot.seconds:.0f} s", no_wrap=True), refresh=True)
 
         with beating(show):
             yield
@@ -237,6 +245,6 @@ def alive(doing: str) -> Iterator[None]:
 
 @contextmanager
 def _progress(resources: Resources) -> Iterator[Show]:
-    screen, most = Screen(sys.stderr), resources.instances
-    with ProgressLine(screen, resources.budget, most_workers=most) as line:
+    console, most = Console(stderr=True), resources.instances
+    with ProgressLine(console, resources.budget, most_workers=most) as line:
         yield line.show

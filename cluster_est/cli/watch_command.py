@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
 from cluster_est.cli.answer import Answer
 from cluster_est.cli.live_page import browse
@@ -20,7 +24,6 @@ from cluster_est.html_report.page import write_report
 from cluster_est.run_folder.run_files import left_alone
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.resources import RunSnapshot
-from cluster_est.screen import LiveLines, Screen, aligned
 from cluster_est.watching.follower import RunFollower, RunView
 from cluster_est.watching.traces import SearchView
 
@@ -40,10 +43,11 @@ def watch(options: Namespace, answer: Answer) -> int:
         view = replace(view, message=view.message or left_alone(options.run_folder, view.status))
         if options.html:
             view = replace(view, problem=_refresh(follower, max(options.every, HTML_SECONDS)))
-        for sentence in sentences(view):
-            answer.say(sentence)
+        for part in rendered(view).renderables:
+            if isinstance(part, Text):
+                answer.say(part.plain)
     else:
-        with WatchTable(Screen(sys.stdout)) as table:
+        with WatchTable(Console()) as table:
             view = follow(options.run_folder, options.every, table.show, html=options.html)
     answer.add(**_fields(options.run_folder, view))
     return ExitCode.DONE
@@ -85,49 +89,49 @@ class WatchTable:
 
     Parameters
     ----------
-    screen
+    console
         Where to.
     """
 
-    def __init__(self, screen: Screen) -> None:
-        self._screen = screen
-        self._live = LiveLines(screen, stay=True)
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False)
         self._last: RunView | None = None
 
     def __enter__(self) -> Self:
-        self._live.__enter__()
+        if self._console.is_terminal:
+            self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._live.__exit__()
-        if self._last is not None and not self._screen.is_terminal:
-            self._screen.print("\n".join(rendered(self._last)))
+        if self._console.is_terminal:
+            self._live.stop()
+        elif self._last is not None:
+            self._console.print(rendered(self._last))
 
     def show(self, view: RunView) -> None:
         """Renew the table."""
         self._last = view
-        self._live.put(rendered(view))
+        if self._console.is_terminal:
+            self._live.update(rendered(view), refresh=True)
 
 
-def rendered(view: RunView) -> list[str]:
-    """Return the sentences and tables of a view as lines."""
-    lines = sentences(view)
-    problem = [lines.pop()] if view.problem else []
-    return [*lines, *_searches(view.searches), *_failures(view), *problem]
-
-
-def sentences(view: RunView) -> list[str]:
-    """Return what a view says beside its tables."""
-    said = [_head(view), _numbers(view)]
+def rendered(view: RunView) -> Group:
+    """The lines and tables of a view."""
+    parts: list[Text | Table] = [Text(_head(view), style="bold"), Text(_numbers(view))]
     if view.state is not None and not view.ended:
-        said.insert(1, _now(view.state))
+        parts.insert(1, Text(_now(view.state)))
     if view.message:
-        said.append(view.message)
+        parts.append(Text(view.message))
     if not view.ended and view.quiet > QUIET_SECONDS:
-        said.append(f"nothing has come for {duration(view.quiet)}, not even a sign of life")
+        parts.append(Text(f"nothing has come for {duration(view.quiet)}, not even a sign of life"))
+    if view.searches:
+        parts.append(_searches(view.searches))
+    if view.failures:
+        parts.append(_failures(view))
     if view.problem:
-        said.append(f"the report could not be written: {view.problem}")
-    return said
+        parts.append(Text(f"the report could not be written: {view.problem}"))
+    return Group(*parts)
 
 
 def _head(view: RunView) -> str:
@@ -155,32 +159,41 @@ def _numbers(view: RunView) -> str:
     return " | ".join(parts)
 
 
-def _searches(searches: tuple[SearchView, ...]) -> list[str]:
-    rows = [("search", "iteration", "evaluations", "best cost", "cost", "")]
+def _searches(searches: tuple[SearchView, ...]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("search")
+    for name in ("iteration", "evaluations", "best cost", "cost"):
+        table.add_column(name, justify="right")
+    table.add_column("")
     for each in searches[-MOST_SEARCHES:]:
         line = each.last
-        rows.append((
-            line.search, str(line.iteration), str(line.evaluations), _cost(each.best),
-            _cost(line.cost), line.ending,
-        ))  # fmt: skip
-    left = f"the last {MOST_SEARCHES} of {len(searches)}"
-    shown = aligned(rows, numeric=(1, 2, 3, 4)) if searches else []
-    return [*shown, left] if len(searches) > MOST_SEARCHES else shown
+        table.add_row(
+            Text(line.search),
+            str(line.iteration),
+            str(line.evaluations),
+            _cost(each.best),
+            _cost(line.cost),
+            Text(line.ending),
+        )
+    if len(searches) > MOST_SEARCHES:
+        table.caption = f"the last {MOST_SEARCHES} of {len(searches)}"
+    return table
 
 
 def _cost(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.6g}"
 
 
-def _failures(view: RunView) -> list[str]:
-    failures = view.failures[:MOST_FAILURE_REASONS]
-    rows = [
-        ("failed", "status", "reason"),
-        *((str(f.count), f.status, f.message) for f in failures),
-    ]
-    left = f"and {len(view.failures) - MOST_FAILURE_REASONS} other reasons"
-    shown = aligned(rows, numeric=(0,)) if failures else []
-    return [*shown, left] if len(view.failures) > MOST_FAILURE_REASONS else shown
+def _failures(view: RunView) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("failed", justify="right")
+    table.add_column("status")
+    table.add_column("reason")
+    for each in view.failures[:MOST_FAILURE_REASONS]:
+        table.add_row(str(each.count), Text(each.status), Text(each.message))
+    if len(view.failures) > MOST_FAILURE_REASONS:
+        table.caption = f"and {len(view.failures) - MOST_FAILURE_REASONS} other reasons"
+    return table
 
 
 HTML_SECONDS = 5.0

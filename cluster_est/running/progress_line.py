@@ -13,7 +13,6 @@ from cluster_est.errors import ProblemError
 from cluster_est.running.heartbeat import beating
 from cluster_est.running.interrupts import interrupt
 from cluster_est.running.resources import Note, RunSnapshot, SearchIteration, Show
-from cluster_est.screen import LiveLines, Screen
 from workers.messages.checks import shown
 
 LEAST_REDRAW_SECONDS = 0.2
@@ -50,14 +49,19 @@ class _Line(Protocol):
 
 class _TerminalLine:
     def __init__(self) -> None:
-        self._live = LiveLines(Screen(sys.stderr))
-        self._live.__enter__()
+        from rich.console import Console
+        from rich.live import Live
+
+        self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=True)
+        self._live.start()
 
     def put(self, text: str) -> None:
-        self._live.put([text])
+        from rich.text import Text
+
+        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
     def close(self) -> None:
-        self._live.__exit__()
+        self._live.stop()
 
 
 class _NotebookLine:

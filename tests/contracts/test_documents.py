@@ -10,6 +10,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from rich.text import Text
 from support.problems.springs import ROOT
 from support.run_folders import SPRING, leave_as_killed
 
@@ -126,7 +127,7 @@ def test_a_document_has_its_fields_and_every_sentence(place, case, capsys, monke
 
     monkeypatch.setattr(PrintedAnswer, "table", lambda *_: None)
     for name in ("_searches", "_failures"):
-        monkeypatch.setattr(watch_command, name, lambda _: [])
+        monkeypatch.setattr(watch_command, name, lambda _: Text(""))
     monkeypatch.setenv("COLUMNS", "1000")
     again = [AGAIN[command]] if command in AGAIN else []
     assert main([*arguments, *again]) == 0

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+from rich.console import Console
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main, terminal
@@ -16,7 +17,6 @@ from cluster_est.cli.terminal import ProgressLine, WorkerHint, line
 from cluster_est.methods.method import Progress
 from cluster_est.running.heartbeat import beating
 from cluster_est.running.resources import Budget, RunSnapshot
-from cluster_est.screen import LiveLines, Screen, cut
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -80,7 +80,7 @@ def test_a_cost_that_is_not_known_yet_is_left_out():
 
 def test_it_begins_with_a_word_and_stays_one_line_in_a_narrow_terminal():
     out = io.StringIO()
-    with ProgressLine(Screen(out, is_terminal=True, width=80), Budget()) as shown:
+    with ProgressLine(Console(file=out, force_terminal=True, width=80), Budget()) as shown:
         assert "starting" in out.getvalue()
         shown.show(snapshot(2.5, 3))
     assert "refitting candidates, iteration 12" in out.getvalue()
@@ -119,7 +119,7 @@ def test_a_budget_is_said_once():
 
 def test_without_a_terminal_a_line_is_printed_now_and_then():
     out, now = io.StringIO(), [0.0]
-    with ProgressLine(Screen(out, width=80), Budget(), 1, lambda: now[0]) as shown:
+    with ProgressLine(Console(file=out, width=80), Budget(), 1, lambda: now[0]) as shown:
         for _ in range(2000):
             now[0] += 1.0
             shown.show(snapshot(2.5))
@@ -167,60 +167,10 @@ class _Written(io.StringIO):
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_a_terminal_alone_sees_that_reading_goes_on(monkeypatch, is_terminal):
     written = _Written("reading config.toml, 0 s")
-    screen = Screen(written, is_terminal=is_terminal, width=80)
-    monkeypatch.setattr(terminal, "Screen", lambda _: screen)
+    console = Console(file=written, force_terminal=is_terminal, width=80)
+    monkeypatch.setattr(terminal, "Console", lambda **_: console)
     monkeypatch.setattr(terminal, "beating", partial(beating, seconds=0.01))
     with terminal.alive("reading config.toml"):
         if is_terminal:
             assert written.there.wait(60.0)
     assert bool(written.getvalue()) is is_terminal
-
-
-def test_what_is_printed_goes_above_the_lines_that_are_renewed():
-    out = io.StringIO()
-    screen = Screen(out, is_terminal=True, width=40)
-    with LiveLines(screen) as live:
-        live.put(["a", "b"])
-        screen.print("said")
-        live.put(["c"])
-    assert out.getvalue() == (
-        "\x1b[2Ka\n\x1b[2Kb\n"  # two lines
-        "\x1b[2A\r\x1b[Jsaid\n\x1b[2Ka\n\x1b[2Kb\n"  # again, below what was printed
-        "\x1b[2A\r\x1b[J\x1b[2Kc\n"
-        "\x1b[1A\r\x1b[J"  # nothing is left
-    )
-    screen.print("later")
-    assert out.getvalue().endswith("later\n")
-
-
-def test_a_terminal_obeys_nothing_that_a_message_quotes():
-    out = io.StringIO()
-    screen = Screen(out, is_terminal=True, width=40)
-    with LiveLines(screen, stay=True) as live:
-        screen.print("a\x1b]0;title\x07b\tc")
-        live.put(["d\re\x9bf"])
-    assert out.getvalue() == "a\\x1b]0;title\\x07b\tc\n\x1b[2Kd\\re\\x9bf\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "width", "seen"),
-    [
-        ("abcde", 5, "abcde"),
-        ("abcdef", 5, "abcd\u2026"),
-        ("\u6e29\u5ea6\u8a08", 5, "\u6e29\u5ea6\u2026"),
-        ("e\u0301e\u0301e\u0301", 3, "e\u0301e\u0301e\u0301"),
-    ],
-)
-def test_a_line_is_cut_to_the_columns_that_it_takes(text, width, seen):
-    assert cut(text, width) == seen
-
-
-def test_a_stream_that_is_no_terminal_has_no_lines(monkeypatch):
-    out = io.StringIO()
-    with LiveLines(Screen(out)) as live:
-        live.put(["a"])
-    assert out.getvalue() == ""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    assert Screen(out).is_terminal
-    monkeypatch.setenv("TERM", "dumb")
-    assert not Screen(out).is_terminal
