@@ -1,6 +1,6 @@
 """Dependencies of an FMU's shared library, read from its file, to explain why it does not load.
 
-Where libraries are searched for is from the manual page ld.so(8).
+pyelftools reads the file; where libraries are searched for is from the manual page ld.so(8).
 """
 
 from __future__ import annotations
@@ -9,12 +9,23 @@ import os
 import platform
 import re
 import sys
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
-from workers.fmu.elf_file import ElfLibrary, read_elf
+from elftools.elf.dynamic import DynamicSegment, DynamicTag
+from elftools.elf.elffile import ELFFile
+from elftools.elf.enums import ENUM_E_MACHINE
 
 _CACHE = Path("/etc/ld.so.cache")
 _FOLDERS = ("/lib64", "/usr/lib64", "/lib", "/usr/lib", "/usr/local/lib")
+_MACHINES = {
+    "EM_386": "x86",
+    "EM_ARM": "arm",
+    "EM_X86_64": "x86_64",
+    "EM_AARCH64": "aarch64",
+    "EM_RISCV": "riscv64",
+}
 _TOO_NEW = re.compile(r"version `((?:GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+)' not found")
 _LICENCE = re.compile(r"licen[cs]|flex(lm|net)|check(ed)?[ -]?out", re.IGNORECASE)
 _REFUSAL = re.compile(
@@ -22,6 +33,16 @@ _REFUSAL = re.compile(
     r"|needs?|refused|rejected|exceeded)\b",
     re.IGNORECASE,
 )
+
+
+@dataclass(frozen=True)
+class _ElfLibrary:
+    """Processor, dependencies and search folders that a library declares."""
+
+    machine: str
+    needed: tuple[str, ...]
+    folders: tuple[str, ...]
+    """Where it tells to look for them."""
 
 
 def missing_libraries(binary: Path) -> tuple[str, ...]:
@@ -36,7 +57,7 @@ def missing_libraries(binary: Path) -> tuple[str, ...]:
     waiting, seen = [binary], {binary}
     while waiting:
         path = waiting.pop()
-        elf = read_elf(path)
+        elf = _read(path)
         if elf is None:
             continue
         for name in elf.needed:
@@ -64,7 +85,7 @@ def load_failure(binary: Path, system_message: str = "") -> str | None:
     str | None
         None where nothing is known but what the system said.
     """
-    elf = read_elf(binary)
+    elf = _read(binary)
     if elf is None:
         return None
     here = platform.machine().lower()
@@ -104,7 +125,39 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _declared_location(path: Path, elf: ElfLibrary, name: str) -> Path | None:
+def _read(path: Path) -> _ElfLibrary | None:
+    try:
+        with path.open("rb") as file:
+            return _parse(ELFFile(file))
+    except Exception:  # a damaged file may break the parser in any way; then nothing is known of it
+        return None
+
+
+def _parse(elf: ELFFile) -> _ElfLibrary | None:
+    """Read what the system's loader reads: segments, and no sections, which may be damaged."""
+    elf.header["e_shoff"] = 0
+    tags: list[DynamicTag] = []
+    segment = next(elf.iter_segments(type="PT_DYNAMIC"), None)
+    if isinstance(segment, DynamicSegment):
+        most = segment["p_filesz"] // elf.structs.Elf_Dyn.sizeof()
+        tags = list(islice(segment.iter_tags(), most))
+    needed = _texts(tags, "NEEDED")
+    paths = [*_texts(tags, "RPATH"), *_texts(tags, "RUNPATH")]
+    if "" in needed:  # a name that lies beyond the end of the file
+        return None
+    machine = elf["e_machine"]
+    return _ElfLibrary(
+        machine=_MACHINES.get(machine, f"other ({ENUM_E_MACHINE.get(machine, machine)})"),
+        needed=tuple(needed),
+        folders=tuple(folder for path in paths for folder in path.split(":") if folder),
+    )
+
+
+def _texts(tags: list[DynamicTag], kind: str) -> list[str]:
+    return [str(getattr(t, kind.lower())) for t in tags if t.entry.d_tag == f"DT_{kind}"]
+
+
+def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
     """Return the library's path in the folders that the one that needs it declares."""
     if "/" in name:
         return Path(name) if Path(name).is_file() else None
