@@ -36,11 +36,13 @@ EXAMPLES = {
     ),
     "fit": (
         "fit first.toml --out runs/first",
+        "fit first.toml --out runs/first --browser",
         "fit first.toml --out runs/far multistart.n=20 executor.workers=8",
         "fit first.toml --out runs/nightly --overwrite --fail-if 'rmse_test > 1.5 or too_narrow'",
     ),
     "close-loop": (
         "close-loop first.toml --out runs/loop",
+        "close-loop first.toml --out runs/loop --browser",
         "close-loop first.toml --out runs/loop --resume --json --fail-if 'verdict != none'",
     ),
     "sensitivity": ("sensitivity first.toml --out runs/sensitivity",),
@@ -58,7 +60,13 @@ EXAMPLES = {
         "show runs/first --json --fail-if 'parameters.k.value > 40'",
     ),
     "report": ("report runs/first", "report runs/first --out first.html"),
-    "watch": ("watch runs/first", "watch runs/first --html --every 5", "watch runs/first --json"),
+    "watch": (
+        "watch runs/first",
+        "watch runs/first --browser",
+        "watch runs --browser --port 8765",
+        "watch runs/first --html --every 5",
+        "watch runs/first --json",
+    ),
     "export": (
         "export runs/loop --fmu repaired.fmu",
         "export runs/first --ssv found.ssv --csv found.csv",
@@ -342,6 +350,11 @@ def _add_existing(command: argparse.ArgumentParser) -> None:
         help="resume the interrupted run in that folder; begin a new one if there is none",
     )
     command.add_argument("--no-report", action="store_true", help="write no report.html")
+    command.add_argument(
+        "--browser",
+        action="store_true",
+        help="show the run in a browser while it goes on, at an address of this machine alone",
+    )
 
 
 def _add_watch(commands: Commands) -> None:
@@ -349,11 +362,22 @@ def _add_watch(commands: Commands) -> None:
         "follow a run from another terminal or machine, through its folder; with --json "
         "print the state once"
     )
-    watch = _with_run(_command(commands, "watch", summary))
-    watch.add_argument("--html", action="store_true", help="also update RUN/report.html")
+    watch = _with_run(_command(commands, "watch", summary), "folder of the run; or of runs")
+    how = watch.add_mutually_exclusive_group()
+    how.add_argument("--html", action="store_true", help="also update RUN/report.html")
+    how.add_argument(
+        "--browser",
+        action="store_true",
+        help="serve a page with cost, parameters, curves, workers and failures, at an address of "
+        "this machine alone, until Ctrl-C; of a folder of runs, they stand side by side",
+    )
+    watch.add_argument(
+        "--port", type=_port, default=0, help="of --browser; without: any that is free"
+    )
     watch.add_argument(
         "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
     )
+    _add_moved_config(watch)
 
 
 def _add_sweep(commands: Commands) -> None:
@@ -439,6 +463,13 @@ def _seconds(text: str) -> float:
     if seconds != 0.0 and not 0.5 <= seconds < 1e6:
         raise argparse.ArgumentTypeError(f"must be 0 or a number from 0.5 on but is {text}")
     return seconds
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 <= port < 2**16:
+        raise argparse.ArgumentTypeError(f"must be a number from 0 to 65535 but is {text}")
+    return port
 
 
 def _period(text: str) -> float:

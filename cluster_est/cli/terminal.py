@@ -7,7 +7,7 @@ import os
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Self
 
@@ -200,10 +200,20 @@ def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace, answer: Ans
     existing = ExistingRun.OVERWRITE if options.overwrite else ExistingRun.REFUSE
     existing = ExistingRun.RESUME if options.resume else existing
     to = Destination(out, existing, report=not options.no_report)
-    end = do_run(run, to, terminal_listener(answer))
+    with _page(out, options):
+        end = do_run(run, to, terminal_listener(answer))
     if end.stopped:
         answer.complain(end.stopped)
     return end
+
+
+def _page(out: Path, options: Namespace) -> AbstractContextManager[None]:
+    """Give the page in a browser, where one is asked for."""
+    if not options.browser:
+        return nullcontext()
+    from cluster_est.cli.live_page import page_beside  # not everybody wants to wait for a server
+
+    return page_beside(out, allow_code=options.allow_code)
 
 
 def say_report(answer: Answer, run_folder: Path) -> None:

@@ -10,6 +10,7 @@ import json
 import math
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -19,7 +20,7 @@ from cluster_est.closed_loop.settings import stage_title
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.method import Progress
 from cluster_est.running.progress_line import SEARCH_TITLES
-from cluster_est.running.resources import RunSnapshot, SearchIteration
+from cluster_est.running.resources import BestPoint, RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
 PROGRESS = "progress.jsonl"
@@ -47,7 +48,8 @@ class ProgressFile:
             iteration.search, progress.iteration, progress.cost, progress.violation,
             progress.ending, iteration.evaluations,
         )  # fmt: skip
-        self._last[iteration.search] = line = _line(vars(row))
+        best = None if iteration.best is None else _finite(vars(iteration.best))
+        self._last[iteration.search] = line = _line({**vars(row), "best": best})
         self._write(line)
 
     def show(self, snapshot: RunSnapshot) -> None:
@@ -81,16 +83,22 @@ class ProgressFile:
 
 def _line(row: dict[str, Any]) -> str:
     """One line of JSON, which has no NaN."""
-    kept = {
+    return sealed(json.dumps({"checksum": SEAL, **_finite(row)}).encode()).decode() + "\n"
+
+
+def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in row.items()
     }
-    return sealed(json.dumps({"checksum": SEAL, **kept}).encode()).decode() + "\n"
 
 
 @dataclass(frozen=True)
 class IterationLine:
-    """One iteration of a search; costs are NaN where there was none."""
+    """One iteration of a search, and the best point until then; costs are NaN where there was none.
+
+    `best` is None too where a cost at it is infinite.
+    """
 
     search: str
     iteration: int
@@ -98,6 +106,7 @@ class IterationLine:
     violation: float
     ending: str
     evaluations: int
+    best: BestPoint | None = None
 
 
 class ProgressTail:
@@ -167,7 +176,9 @@ class ProgressTail:
                 return None
             for name in ("cost", "violation"):
                 row[name] = math.nan if row[name] is None else float(row[name])
-            return IterationLine(**row)
+            best = row.pop("best", None)
+            known = best is not None and None not in (best["cost"], best["violation"])
+            return IterationLine(**row, best=BestPoint(**best) if known else None)
         except (ValueError, TypeError, KeyError, AttributeError):  # no line of such a file
             return None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -117,12 +117,47 @@ class RunSnapshot:
 
 
 @dataclass(frozen=True)
+class BestPoint:
+    """The best point that a search has seen so far.
+
+    Attributes
+    ----------
+    cost
+        At it.
+    violation
+        Of the constraints there; 0 where they are satisfied.
+    values
+        Physical values by label.
+    """
+
+    cost: float
+    violation: float
+    values: Mapping[str, float] = field(repr=False)
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Less is better."""
+        return self.violation, self.cost
+
+
+@dataclass(frozen=True)
 class SearchIteration:
-    """A line of a search's iteration table; `evaluations` are those of this search so far."""
+    """A line of a search's iteration table.
+
+    Attributes
+    ----------
+    search, progress
+        Whose line it is, and what it says.
+    evaluations
+        Of this search so far.
+    best
+        None before a point was simulated, and of searches with very many unknowns.
+    """
 
     search: str
     progress: Progress
     evaluations: int
+    best: BestPoint | None = None
 
 
 Record = Callable[[TaskOrigin, Outcome], None]

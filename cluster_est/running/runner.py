@@ -362,7 +362,8 @@ class Runner:
 
         Lines of a search that may be given up wait: how far it came by then, only the clock says.
         """
-        search.lines.append(SearchIteration(search.request.name, line, search.asked))
+        best = search.best_point()
+        search.lines.append(SearchIteration(search.request.name, line, search.asked, best))
         if search.counts:
             self._count(search)
 

@@ -27,7 +27,7 @@ from cluster_est.methods.method import (
 )
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.search_space import SearchSpace
-from cluster_est.running.resources import Record, SearchIteration, TaskOrigin
+from cluster_est.running.resources import BestPoint, Record, SearchIteration, TaskOrigin
 from workers.messages import REDUCTIONS, Effect, FloatArray, Outcome, Status, Task, Want
 
 
@@ -78,6 +78,9 @@ MEMORY_BYTES = 256 * 2**20
 """What is remembered to answer repeated questions without simulating."""
 OUTCOME_BYTES = 800
 """What an outcome takes besides its residuals."""
+
+MOST_NAMED_VALUES = 1000
+"""Unknowns up to which the values of the best point go into each line of a search's table."""
 
 Question = tuple[int, bytes, tuple[Effect, ...], Want, float]
 """Experiment, values and effects, which make a simulation, what is wanted of it, and the bound
@@ -182,6 +185,14 @@ class SearchState:
         cost = np.nan if self.best is None else self.best.cost
         self.solution = Solution(x, cost, ending, iterations=self.progress.iteration, at=self.best)
         self.pending.clear()
+
+    def best_point(self) -> BestPoint | None:
+        """Return the best point so far, for those who watch."""
+        best, space = self.best, self.request.space
+        if best is None or self.best_x is None or space.size > MOST_NAMED_VALUES:
+            return None
+        violation = 0.0 if best.feasible else best.violation
+        return BestPoint(best.cost, violation, space.estimates(self.best_x))
 
     def last_line(self) -> Progress | None:
         """Return how it ended, as a line of its table; None if it has not."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from typing import ClassVar
 
 import numpy as np
@@ -80,7 +81,7 @@ LEAST_WALKERS = 8
 
 
 def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
-    """Refuse to draw where the cost is no likelihood, or there are too few walkers.
+    """Refuse to draw where the cost is no likelihood, walkers are too few, or emcee is missing.
 
     Parameters
     ----------
@@ -94,6 +95,11 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
     ProblemError
         With what to change.
     """
+    if find_spec("emcee") is None:
+        raise ProblemError(
+            "uncertainty.posterior: needs emcee, which is not installed; pip install "
+            "'cluster-est[posterior]', or take uncertainty.profiles"
+        )
     problem, least = space.problem, max(LEAST_WALKERS, 2 * space.size)
     if walkers and walkers < least:
         raise ProblemError(

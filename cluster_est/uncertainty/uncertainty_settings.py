@@ -38,7 +38,8 @@ class UncertaintySettings(Settings):
     posterior: Count = Field(
         0,
         description="steps of each walker that draws from the posterior, usually some thousands: "
-        "the chains must be 50 times as long as their autocorrelation time; 0: none",
+        "the chains must be 50 times as long as their autocorrelation time; 0: none; needs "
+        "cluster-est[posterior]",
     )
     walkers: Count = Field(
         0, description="number of walkers; 0: four times the unknowns, and at least 16"

@@ -15,12 +15,13 @@ from support.run_folders import change_facts
 
 from cluster_est.cli import main
 from cluster_est.cli.terminal import line
-from cluster_est.cli.watch_command import RunFollower, RunView, WatchTable, follow, rendered
+from cluster_est.cli.watch_command import WatchTable, follow, rendered
 from cluster_est.methods.method import Progress
 from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.resources import Budget, RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.studies.fit import fit
+from cluster_est.watching.follower import RunFollower, RunView
 from workers.messages import Outcome, Status, Task
 
 

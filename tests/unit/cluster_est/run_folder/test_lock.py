@@ -9,11 +9,11 @@ import sys
 import pytest
 from filelock import UnixFileLock
 
-from cluster_est.cli.watch_command import RunFollower
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.lock import LOCK, SWEEP_OWNER, RunLock, lock, locked_by_sweep
 from cluster_est.run_folder.run_files import left_alone
 from cluster_est.run_folder.run_folder import check_free
+from cluster_est.watching.follower import RunFollower
 
 GONE = "no process of this machine is running in it any more; if it was killed, continue it with"
 HOLD = """

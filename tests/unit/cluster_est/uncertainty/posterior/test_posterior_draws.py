@@ -211,6 +211,12 @@ def test_what_has_no_posterior_is_refused(curves, walkers, said):
         check_posterior(curves.space(), walkers=walkers)
 
 
+def test_the_package_that_draws_is_asked_for_before_anything_is_simulated(monkeypatch):
+    monkeypatch.setattr("cluster_est.uncertainty.posterior.find_spec", lambda _: None)
+    with pytest.raises(ProblemError, match=r"needs emcee.*pip install 'cluster-est\[posterior\]'"):
+        check_posterior(levels().space())
+
+
 def test_bounds_and_a_sigma_or_a_prior_or_a_likelihood_are_not_refused():
     check_posterior(levels().space())
     check_posterior(levels(upper=np.inf, prior=NormalPrior(0.0, 3.0)).space())

@@ -1,0 +1,89 @@
+"""The page of a run in a browser: served beside a run, or by `watch` alone."""
+
+from __future__ import annotations
+
+import html
+import os
+import sys
+import tempfile
+import threading
+import time
+import webbrowser
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from cluster_est.cli.answer import Answer
+from cluster_est.errors import RunFolderError
+from cluster_est.watching.page_sources import runs_below
+from cluster_est.watching.server import LivePage
+
+SECONDS_OF_SLEEP = 3600.0
+SECONDS_OF_LAST_LOOK = 3.0
+"""That a run which has ended waits for an open page to see it."""
+
+
+@contextmanager
+def page_beside(folder: Path, *, allow_code: bool) -> Iterator[None]:
+    """Serve the page of a run while it goes on."""
+    page = LivePage(folder, allow_code=allow_code)
+    with page, _opened(page.address):
+        yield
+        page.last_look(SECONDS_OF_LAST_LOOK)
+
+
+def browse(options: Namespace, answer: Answer) -> None:
+    """Serve the page of a run or of a folder of runs until the command is interrupted.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run, or the port is taken.
+    """
+    if options.json:
+        raise RunFolderError(
+            "--browser: goes on until Ctrl-C, so that there is no document; leave --json out"
+        )
+    folder: Path = options.run_folder
+    if not (folder / "run.json").is_file() and not runs_below(folder):
+        raise RunFolderError(
+            f"{folder}: must be the folder of a run, or of runs, but has no run.json and none in "
+            "the folders below it"
+        )
+    page = LivePage(folder, options.port, options.config, allow_code=options.allow_code)
+    try:
+        with page, _opened(page.address):
+            while True:
+                time.sleep(SECONDS_OF_SLEEP)
+    except KeyboardInterrupt:  # the way in which it ends
+        answer.say("the page is closed")
+
+
+@contextmanager
+def _opened(address: str) -> Iterator[None]:
+    """Say where a page is, and open it where somebody sits in front of a screen.
+
+    A browser is given a file that only this user can read and that leads to the page: other users
+    see the arguments of its process, and would see the token.
+    """
+    print(f"cluster-est: the page of the run is {address}", file=sys.stderr, flush=True)
+    with tempfile.TemporaryDirectory(prefix="cluster-est-page-") as folder:
+        if _has_screen():
+            file = Path(folder) / "open.html"
+            target = html.escape(address, quote=True)
+            file.write_text(
+                '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+                f'<meta http-equiv="refresh" content="0;url={target}"><a href="{target}">open</a>',
+                encoding="utf-8",
+            )
+            threading.Thread(target=webbrowser.open, args=(file.as_uri(),), daemon=True).start()
+        yield
+
+
+def _has_screen() -> bool:
+    """Return whether a terminal is attached, and a browser would have a window of its own."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    windows = sys.platform in ("win32", "darwin")
+    return windows or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

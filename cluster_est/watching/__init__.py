@@ -1,0 +1,1 @@
+"""Runs seen from their folders alone while they go on: as views, and as a page in a browser."""

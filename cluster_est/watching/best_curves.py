@@ -1,0 +1,280 @@
+"""Measured and simulated curves of a run: those that its folder holds, or those of the best point.
+
+A closed loop writes its curves after each round, a fit at its end. Before that the best point of a
+fit is simulated here once more, in a process of its own, where that takes few seconds: the run
+itself keeps no curves on the way, and what it does stays the same whether somebody looks or not.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from cluster_est.config.build import build_problem
+from cluster_est.config.choices import build_resources
+from cluster_est.config.reader import read_config
+from cluster_est.errors import ClusterEstError, RunFolderError
+from cluster_est.html_report.curve_section import extremes
+from cluster_est.html_report.number_text import duration
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space import make_space
+from cluster_est.results.output_errors import compared_values, measured_values
+from cluster_est.run_folder.logged_simulation import config_base
+from cluster_est.run_folder.run_files import is_ended, read_config_text, read_run_columns
+from cluster_est.running.reset_policy import recorded
+from cluster_est.running.resources import BestPoint
+from workers.messages import FloatArray, Limits, Outcome, Output, Task
+from workers.process.supervisor import SupervisedEvaluator
+
+CURVE_COLUMNS = 500
+"""Of a chart, each of which shows the lowest and the highest sample."""
+MOST_SECONDS_TO_REPEAT = 5.0
+"""That a simulation of the run takes on average, up to which one is repeated for who looks."""
+
+NOT_YET = (
+    "There are no curves yet: a fit has them from its first point on, a closed loop after a round "
+    "that has added something."
+)
+
+
+@dataclass(frozen=True)
+class OutputCurve:
+    """One output of one experiment, at measured times, and finer where that is known.
+
+    `before` is empty where it is not known.
+    """
+
+    name: str
+    time: FloatArray = field(repr=False)
+    measured: FloatArray = field(repr=False)
+    fine: FloatArray = field(repr=False)
+    after: FloatArray = field(repr=False)
+    before: FloatArray = field(repr=False)
+
+
+@dataclass(frozen=True)
+class ExperimentCurves:
+    """The curves of one experiment.
+
+    Attributes
+    ----------
+    experiments
+        Those that may be asked for.
+    experiment
+        Which one it is; "" if there are none.
+    outputs
+        Its curves.
+    said
+        Which point they are of, or why there are none.
+    """
+
+    experiments: tuple[str, ...] = ()
+    experiment: str = ""
+    outputs: tuple[OutputCurve, ...] = ()
+    said: str = ""
+
+
+class CurveSource:
+    """Gives the curves of a run while it goes on and afterwards.
+
+    Parameters
+    ----------
+    run_folder
+        Of the run.
+    config
+        The config that it was made from, if that has moved.
+    allow_code
+        Whether Python functions that the config names may run.
+    """
+
+    def __init__(self, run_folder: Path, config: Path | None, *, allow_code: bool) -> None:
+        self._path, self._config, self._allow_code = run_folder, config, allow_code
+        self._simulated: _BestSimulator | None = None
+        self._of = ""
+        self._asking = threading.Lock()
+
+    def look(
+        self, facts: Mapping[str, Any], best: BestPoint | None, seconds: float, wanted: str
+    ) -> ExperimentCurves:
+        """Return the curves of an experiment.
+
+        Parameters
+        ----------
+        facts
+            What run.json says.
+        best
+            The best point of a fit so far, if there is one.
+        seconds
+            That a simulation takes on average.
+        wanted
+            The experiment; another one if there is none of that name.
+        """
+        try:
+            with self._asking:
+                if is_ended(facts) or facts.get("verdict") is not None:
+                    self.close()
+                    return self._stored(facts, wanted)
+                if best is None:
+                    return ExperimentCurves(said=NOT_YET)
+                if seconds > MOST_SECONDS_TO_REPEAT:
+                    said = f"A simulation takes about {duration(seconds)}, too long to repeat it"
+                    return ExperimentCurves(said=f"{said} here; curves come with the result.")
+                return self._simulator(facts).curves(best, wanted)
+        except (ClusterEstError, OSError) as error:
+            return ExperimentCurves(said=f"The curves cannot be shown: {error}")
+
+    def close(self) -> None:
+        """End the process that simulates, if there is one."""
+        if self._simulated is not None:
+            self._simulated.close()
+        self._simulated = None
+
+    def _simulator(self, facts: Mapping[str, Any]) -> _BestSimulator:
+        if self._simulated is None or self._of != facts.get("started"):
+            self.close()
+            read_config_text(self._path)  # says it if that is damaged
+            config = read_config(self._path / "config.toml")
+            base = config_base(self._path, self._config)
+            problem = build_problem(config, base, allow_code=self._allow_code)
+            chosen = recorded(facts)
+            if problem.model.reset == "auto" and chosen is not None:
+                problem = replace(problem, model=replace(problem.model, reset=chosen.policy))
+            resources = build_resources(config)
+            if resources.instances is not None:
+                raise RunFolderError(
+                    "the licence of the FMU limits its instances (executor.instances), and the run "
+                    "has them; curves come with the result"
+                )
+            self._simulated = _BestSimulator(problem, resources.limits)
+            self._of = str(facts.get("started"))
+        return self._simulated
+
+    def _stored(self, facts: Mapping[str, Any], wanted: str) -> ExperimentCurves:
+        """Return the curves that the folder holds."""
+        path = self._path / "residuals.parquet"
+        if not path.is_file():
+            return ExperimentCurves(said="The folder of this run holds no curves.")
+        table = read_run_columns(path)
+        names = tuple(pc.unique(table["experiment"]).to_pylist())
+        if not names:
+            return ExperimentCurves(said="The folder of this run holds no curves.")
+        experiment = wanted if wanted in names else names[0]
+        finer = self._path / "trajectories.parquet"
+        fine = read_run_columns(finer) if finer.is_file() else None
+        own = table.filter(pc.equal(table["experiment"], experiment))
+        outputs = pc.unique(own["output"]).to_pylist()
+        curves = [_stored_curve(own, fine, experiment, output) for output in outputs]
+        ended = "At the estimates of this run." if is_ended(facts) else "As found so far."
+        before = "the declared model, fitted" if facts.get("verdict") is not None else "the start"
+        kept = tuple(_thinned(c) for c in curves if np.isfinite(c.time).any())
+        return ExperimentCurves(names, experiment, kept, f"{ended} Before: {before}.")
+
+
+class _BestSimulator:
+    """Simulates experiments at the best point of a fit, again only after that has moved."""
+
+    def __init__(self, problem: Problem, limits: Limits) -> None:
+        self._problem = problem
+        self._guard = SupervisedEvaluator(problem.model, problem.experiments, "watch", limits)
+        labels = {u.label for u in make_space(problem, problem.indices("train")).unknowns}
+        self._labels = labels
+        self._best: BestPoint | None = None
+        self._known: dict[int, ExperimentCurves] = {}
+
+    def curves(self, best: BestPoint, wanted: str) -> ExperimentCurves:
+        """Return the curves of an experiment at the best point.
+
+        Raises
+        ------
+        RunFolderError
+            If the search has other unknowns than the config.
+        """
+        if set(best.values) != self._labels:
+            raise RunFolderError(
+                "the search moves other unknowns than those of the config; curves come with the "
+                "result"
+            )
+        if self._best is None or best.values != self._best.values:
+            self._best, self._known = best, {}
+        problem = self._problem
+        shown = [
+            e for e in range(len(problem.experiments))
+            if not make_space(problem, (e,), best.values).unknowns
+        ]  # fmt: skip
+        names = tuple(problem.experiments[e].id for e in shown)
+        if not shown:
+            return ExperimentCurves(said="No experiment has all of its values yet.")
+        e = shown[names.index(wanted) if wanted in names else 0]
+        if e not in self._known:
+            self._known[e] = self._simulate(e, best, names)
+        return self._known[e]
+
+    def _simulate(self, e: int, best: BestPoint, names: tuple[str, ...]) -> ExperimentCurves:
+        problem = self._problem
+        space, experiment = make_space(problem, (e,), best.values), problem.experiments[e]
+        values = space.physical(space.start)[0]
+        outcome = self._guard.once(Task(0, e, values, "trajectory", problem.effects))
+        if not outcome.ok:
+            said = f"This experiment cannot be simulated at the best point: {outcome.message}"
+            return ExperimentCurves(names, experiment.id, (), said)
+        curves = [_curve_at(o, outcome) for o in experiment.outputs if len(o.times)]
+        said = "At the best point so far, simulated once more for this page."
+        return ExperimentCurves(names, experiment.id, tuple(_thinned(c) for c in curves), said)
+
+    def close(self) -> None:
+        """End the process."""
+        self._guard.close()
+
+
+def _curve_at(output: Output, outcome: Outcome) -> OutputCurve:
+    """Return one output as it was simulated, at the measured times."""
+    found = compared_values(output, outcome)
+    after = np.full(len(output.times), np.nan) if found is None else found
+    measured = measured_values(output, outcome)
+    return OutputCurve(output.variable, output.times, measured, output.times, after, np.zeros(0))
+
+
+def _stored_curve(
+    own: pa.Table, finer: pa.Table | None, experiment: str, output: str
+) -> OutputCurve:
+    """Return one output of the tables of a run."""
+    part = own.filter(pc.equal(own["output"], output))
+    time, measured, after, before = (
+        _column(part, name) for name in ("time", "measured", "simulated", "simulated_before")
+    )
+    if finer is not None and finer.num_rows:
+        both = pc.and_(pc.equal(finer["experiment"], experiment), pc.equal(finer["output"], output))
+        rows = finer.filter(both)
+        if rows.num_rows > len(time):
+            fine, after, before = (
+                _column(rows, name) for name in ("time", "simulated", "simulated_before")
+            )
+            return OutputCurve(output, time, measured, fine, after, before)
+    return OutputCurve(output, time, measured, time, after, before)
+
+
+def _column(table: pa.Table, name: str) -> FloatArray:
+    """Return a column with NaN for what is not there; nothing where the table has none."""
+    if name not in table.column_names:
+        return np.zeros(0)
+    return np.asarray(pc.cast(table[name], pa.float64()).to_numpy(), np.float64)
+
+
+def _thinned(curve: OutputCurve) -> OutputCurve:
+    """Keep of each curve what is seen of it."""
+    kept = extremes(curve.time, curve.measured, CURVE_COLUMNS)
+    pairs = [y for y in (curve.after, curve.before) if len(y)]
+    parts = [extremes(curve.fine, y, CURVE_COLUMNS) for y in pairs]
+    fine = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.int64)
+    before = curve.before[fine] if len(curve.before) else curve.before
+    return OutputCurve(
+        curve.name, curve.time[kept], curve.measured[kept], curve.fine[fine], curve.after[fine],
+        before,
+    )  # fmt: skip

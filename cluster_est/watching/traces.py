@@ -1,0 +1,74 @@
+"""The searches of a run by the lines of their tables: their costs, and the best point of a fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from cluster_est.run_folder.run_progress import IterationLine
+from cluster_est.running.resources import BestPoint
+
+MOST_TRACED_VALUES = 60
+"""Unknowns up to which it is kept how the best value of each went."""
+
+
+def is_of_fit(search: str) -> bool:
+    """Return whether all unknowns of a fit are searched, by the cost of the run.
+
+    Refits of profiles and of a bootstrap have other unknowns or other data, and those of a closed
+    loop other models: their costs are not compared.
+    """
+    return search == "train" or search.startswith("start ")
+
+
+@dataclass(frozen=True)
+class SearchView:
+    """A search: its best cost so far (NaN if it has none), and its last line."""
+
+    best: float
+    last: IterationLine
+
+
+@dataclass
+class SearchTraces:
+    """The lines of all searches, in the order in which they came.
+
+    Attributes
+    ----------
+    searches
+        By name; the one that has moved last stands last.
+    costs
+        (search, its evaluations, cost) of each line with a cost.
+    best
+        Over all searches of a fit; None before there is a point.
+    lowest
+        The best cost after each line of those searches.
+    values
+        For each label the value at the best point after each of those lines, up to a number of
+        labels.
+    """
+
+    searches: dict[str, SearchView] = field(default_factory=dict)
+    costs: list[tuple[str, int, float]] = field(default_factory=list)
+    best: BestPoint | None = None
+    lowest: list[float] = field(default_factory=list)
+    values: dict[str, list[float]] = field(default_factory=dict)
+
+    def note(self, line: IterationLine) -> None:
+        """Take in one more line."""
+        known = self.searches.pop(line.search, None)
+        costs = [line.cost] if known is None else [line.cost, known.best]
+        best = min((cost for cost in costs if not math.isnan(cost)), default=math.nan)
+        self.searches[line.search] = SearchView(best, line)
+        if not math.isnan(line.cost):
+            self.costs.append((line.search, line.evaluations, line.cost))
+        if is_of_fit(line.search) and line.best is not None:
+            self._improve(line.best)
+
+    def _improve(self, found: BestPoint) -> None:
+        if self.best is None or found.rank < self.best.rank:
+            self.best = found
+        self.lowest.append(self.best.cost)
+        if len(self.best.values) <= MOST_TRACED_VALUES:
+            for label, value in self.best.values.items():
+                self.values.setdefault(label, []).append(value)
