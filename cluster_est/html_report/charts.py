@@ -50,8 +50,18 @@ class Scale:
     log: bool = False
 
     @classmethod
-    def around(cls, *values: FloatArray, margin: float = 0.04, may_be_log: bool = False) -> Self:
-        """A scale that holds all finite values, with a margin as a share of their range."""
+    def around(
+        cls,
+        *values: FloatArray,
+        margin: float = 0.04,
+        may_be_log: bool = False,
+        least: float = 0.0,
+    ) -> Self:
+        """A scale that holds all finite values, with a margin as a share of their range.
+
+        Its range is at least the share `least` of the largest value, so that small differences of
+        large numbers look small.
+        """
         known = np.concatenate([np.ravel(each) for each in values]) if values else np.zeros(0)
         known = known[np.isfinite(known)]
         if not len(known):
@@ -63,7 +73,8 @@ class Scale:
         if high - low <= 1e-12 * max(abs(low), abs(high)):  # nothing but rounding would fill it
             wider = 0.5 * abs(high) or 1.0
             return cls(low - wider, high + wider)
-        wider = margin * (high - low)
+        missing = max(0.0, least * max(abs(low), abs(high)) - (high - low))
+        wider = margin * (high - low) + 0.5 * missing
         return cls(low - wider, high + wider)
 
     def places(self, values: FloatArray) -> FloatArray:
@@ -334,17 +345,19 @@ class Cells(Mark):
         return box_paths(found)
 
 
-PIXELS_A_TICK = 40
-"""Height of a plot for each value that is written beside it."""
+PIXELS_A_TICK, PIXELS_A_TEXT = 40, 14
+"""Height of a plot for each value that is written beside it: about, and at least."""
 MOST_SIGNS = 70
 """Signs of the numbers below a plot, and two for the space after each: more would run together."""
 
 PLOT = Markup(
-    '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}">{label}{beside}'
+    '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}"{called}>{label}{beside}'
     '<svg viewBox="0 0 {units} {units}" preserveAspectRatio="none" role="img" aria-label="{title}">'
     '<title>{title}</title><path class="grid" d="{grid}"/>{marks}</svg>{below}</div>'
 )
-CHART = Markup('<div class="chart{classes}"{gutter}>{legend}{plots}{under}</div>')
+CHART = Markup('<div class="chart{classes}"{gutter}{record}>{legend}{plots}{under}</div>')
+USUAL_GUTTER = 56
+"""Pixels at the left of a plot for the numbers there, where they are short."""
 
 
 @final
@@ -366,6 +379,9 @@ class Plot:
         In pixels.
     rows
         Names of the rows at y = 0, 1, ...; round values of y without names.
+    called
+        What its values are called under the pointer and in a file, where the names of the marks
+        stand for something else in the chart's other plots.
     """
 
     title: str
@@ -375,12 +391,14 @@ class Plot:
     marks: Sequence[Mark] = field(repr=False)
     height: int = 220
     rows: Sequence[str] = ()
+    called: str = ""
 
     def beside(self) -> tuple[tuple[float, str], ...]:
         """Values of y with what is written at them."""
         if self.rows:
             return tuple((float(i), name) for i, name in enumerate(self.rows))
-        return self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
+        ticks = self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
+        return ticks[:: math.ceil(len(ticks) * PIXELS_A_TEXT / self.height)]
 
     def under(self, most: int) -> tuple[tuple[float, str], ...]:
         """Values of x with what is written at them, as many as there is room for."""
@@ -400,6 +418,7 @@ class Plot:
             height=self.height,
             x=_ends(self.x),
             y=_ends(self.y) if not self.rows else "",
+            called=Markup(' data-called="{}"').format(self.called) if self.called else "",
             label=Markup('<p class="label">{}</p>').format(self.label) if self.label else "",
             beside=_texts("y-axis", "bottom", up),
             title=self.title,
@@ -434,6 +453,8 @@ class Chart:
         Pixels at the left for what is written there; None for numbers.
     zooms
         Whether values are shown under the pointer, and dragging zooms.
+    record
+        Name of the `FullRecord` that has every sample of it; "" if there is none.
     """
 
     plots: Sequence[Plot]
@@ -442,17 +463,20 @@ class Chart:
     across: int = 8
     gutter: int | None = None
     zooms: bool = True
+    record: str = ""
 
     def html(self) -> Markup:
         """The chart as HTML."""
         last = len(self.plots) - 1
         plots = [plot.html(across=self.across, last=i == last) for i, plot in enumerate(self.plots)]
-        gutter = (
-            Markup(' style="--gutter:min({}px,40vw)"').format(self.gutter) if self.gutter else ""
+        gutter = self.gutter or max(
+            (_gutter([text for _, text in plot.beside()]) for plot in self.plots), default=0
         )
+        wide = Markup(' style="--gutter:min({}px,40vw)"').format(gutter)
         return CHART.format(
             classes=" zooms" if self.zooms else "",
-            gutter=gutter,
+            gutter=wide if gutter > USUAL_GUTTER else "",
+            record=Markup(' data-record="{}"').format(self.record) if self.record else "",
             legend=self._legend(),
             plots=Markup("").join(plots),
             under=Markup('<p class="below">{}</p>').format(self.below) if self.below else "",

@@ -100,6 +100,30 @@ def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], Float
     return [*marks], np.concatenate([low, high])
 
 
+def _lead(run: ReportedRun) -> Row | None:
+    """The shape at the head of the page: the first one of the effects that were found."""
+    found = {effect["name"] for effect in run.facts.get("effects") or []}
+    drawn = (row for row in run.tables["shapes"] if row["effect"] in found and not row["why_not"])
+    return next(drawn, None)
+
+
+def lead_shape(run: ReportedRun) -> list[FigureBlock]:
+    """The picture of the effect that was found, for the head of a page."""
+    lead = _lead(run)
+    return [] if lead is None else [shape_figure(lead, 0)]
+
+
+def effect_words(run: ReportedRun) -> list[Block]:
+    """The equation of each effect that was found, and what is said of it."""
+    blocks: list[Block] = []
+    for effect in run.facts.get("effects") or []:
+        blocks.append(TextBlock(effect["equation"], kind="equation"))
+        _, _, values = effect["sentence"].partition(effect["equation"])
+        values = values.lstrip(", ")
+        blocks.append(TextBlock(values[:1].upper() + values[1:] or effect["sentence"]))
+    return blocks
+
+
 COEFFICIENTS = ("coefficient", "#value", "#95 % interval", "unit", "")
 
 
@@ -137,23 +161,23 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         rows.append((code(name), *numbers, row["unit"], TableCell(said, "faint")))
     blocks: list[Block] = [
         TextBlock(f"{effect['name']}: {effect['words']} at {effect['site']}", kind="heading"),
-        TextBlock(effect["equation"], kind="equation"),
-        TextBlock(effect["sentence"]),
         table(COEFFICIENTS, rows),
     ]
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
-    blocks += _shapes(shapes)
+    blocks += _shapes(shapes, _lead(run))
     if not shapes:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
 
 
-def _shapes(rows: Sequence[Row]) -> list[Block]:
-    """The shapes of one effect, or the reason why they are missing."""
-    blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
+def _shapes(rows: Sequence[Row], lead: Row | None = None) -> list[Block]:
+    """The shapes of one effect but that at the head, or the reason why they are missing."""
+    blocks: list[Block] = [
+        shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"] and row is not lead
+    ]
     missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
     return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]
 
