@@ -114,7 +114,7 @@ def lead_shape(run: ReportedRun) -> list[FigureBlock]:
 
 
 def effect_words(run: ReportedRun) -> list[Block]:
-    """The equation of each effect that was found, and what is said of it."""
+    """The equation of each effect that was found, and its values."""
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
         blocks.append(TextBlock(effect["equation"], kind="equation"))
@@ -122,6 +122,12 @@ def effect_words(run: ReportedRun) -> list[Block]:
         values = values.lstrip(", ")
         blocks.append(TextBlock(values[:1].upper() + values[1:] or effect["sentence"]))
     return blocks
+
+
+def sure_words(run: ReportedRun) -> list[Block]:
+    """How probable what was found is among its rivals, and how often it is chosen again."""
+    said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
+    return [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
 
 
 COEFFICIENTS = ("coefficient", "#value", "#95 % interval", "unit", "")
@@ -235,8 +241,7 @@ def _compared(run: ReportedRun) -> list[Block]:
         "structure", "#gap closed", "#criterion", "#left out", "#held out", "#probability",
         "#chosen", "move", "",
     )  # fmt: skip
-    said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
-    blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
+    blocks: list[Block] = []
     rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
     if any(row["left_out"] == row["left_out"] for row in rows):
         blocks.append(TextBlock(LEFT_OUT))

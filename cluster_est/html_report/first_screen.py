@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from cluster_est.html_report.curve_section import RecordCharts, lead_figures
 from cluster_est.html_report.design_section import design_pictures, design_table
-from cluster_est.html_report.effect_sections import effect_words, lead_shape
+from cluster_est.html_report.effect_sections import effect_words, lead_shape, sure_words
 from cluster_est.html_report.error_sections import error_table
 from cluster_est.html_report.number_text import beside, digits, percent
 from cluster_est.html_report.page_blocks import (
@@ -43,12 +43,14 @@ def first_screen(run: ReportedRun, charts: RecordCharts) -> FirstScreen:
         return FirstScreen(tuple(order_of_estimation(run)), tuple(ranking_picture(run)))
     if not run.finished:
         return FirstScreen((), ())
-    words = [*effect_words(run), *_parameters(run), *error_table(run)]
+    words = [
+        *effect_words(run), *parameter_table(run), *error_table(run), *sure_words(run),
+    ]  # fmt: skip
     shape, leads = lead_shape(run), lead_figures(charts)
     return FirstScreen(tuple(words), (*shape, *(reversed(leads) if shape else leads)))
 
 
-def _parameters(run: ReportedRun) -> list[Block]:
+def parameter_table(run: ReportedRun) -> list[Block]:
     """Each shared estimate with its 95 % interval as +- and as a share, and what it is."""
     rows = [row for row in run.tables["parameters"] if row["estimated_on"] != "known"]
     shared = [row for row in rows if row.get("scope", "shared") == "shared"]

@@ -17,7 +17,8 @@ from workers.messages import FloatArray
 
 MOST_BYTES = 800_000
 """Characters that all records of a page take together; those with the largest errors come first."""
-NUMBER_BYTES = 4
+UNEVEN = 1e-3
+"""Steps by which samples may be off their even places without being drawn elsewhere."""
 
 
 class Samples(Protocol):
@@ -84,7 +85,7 @@ def _packed(name: str, record: Samples) -> FullRecord:
     step = float(time[-1] - time[0]) / len(steps)
     curves = {"measured": record.measured, "before": record.before, "after": record.after}
     kept = {each: values for each, values in curves.items() if np.isfinite(values).any()}
-    if np.abs(steps - step).max() > 1e-6 * step:
+    if np.abs(time - np.linspace(time[0], time[-1], len(time))).max() > UNEVEN * step:
         step, kept = 0.0, {"step": np.append(0.0, steps), **kept}
     joined = np.concatenate([values.astype("<f4") for values in kept.values()])
     text = base64.b64encode(joined.tobytes()).decode()

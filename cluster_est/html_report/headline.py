@@ -44,7 +44,7 @@ NEAR_NOISE = 1.5
 def summarise(run: ReportedRun) -> ReportSummary:
     """Put the result of a run into words."""
     verdict, tone = _verdict(run)
-    sentences = [*_fitted(run), *_opening(run), *_bounds(run), *_failed(run)]
+    sentences = [*_opening(run), *_fitted(run), *_bounds(run), *_failed(run)]
     said = run.facts.get("notes") or ()
     notes = tuple(_sentence(note) for note in said[1 if run.is_design else 0 :])
     return ReportSummary(verdict, tone, tuple(sentences), tuple(_steps(run)), notes)
@@ -134,7 +134,8 @@ def _fitted(run: ReportedRun) -> list[str]:
     said = f"{numbers} {were} {model} {'was' if numbers == 1 else 'were'} fitted to {train} "
     said += "experiment." if train == 1 else "experiments."
     held_out = [] if "test" in roles.values() else [NOT_HELD_OUT]
-    return [*doubts, said, *filter(None, [error_sentence(run)]), *held_out]
+    error = "" if run.facts.get("summary") else error_sentence(run)
+    return [*doubts, said, *filter(None, [error]), *held_out]
 
 
 NOT_HELD_OUT = "There is no held-out experiment, so nothing tells how it predicts."
@@ -149,7 +150,8 @@ def _opening(run: ReportedRun) -> list[str]:
         said = f"At the start values {how_many} of {of_all} unknowns can be estimated together."
         return [said] if together and of_all > 1 else []
     if run.is_design:
-        return [_sentence(facts["design"]["summary"])]
+        how, _, expected = facts["design"]["summary"].partition(": ")  # the headline says how
+        return [_sentence(expected or how)]
     if run.is_loop:
         added = [] if facts.get("effects") else ["Nothing was added to the model."]
         return [_sentence(facts.get("summary") or ""), *added]

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from cluster_est.html_report.activity import LogActivity, read_activity
@@ -28,6 +29,7 @@ SMALL_TABLES = (
     "shapes", "ranking", "indices", "probabilities", "evidence", "precision",
     "prediction_precision", "next_input", "expected",
 )  # fmt: skip
+NO_ACTIVITY = LogActivity(0, (), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
 WIDE_TABLES = ("residuals", "trajectories", "predictions", "inputs")
 
 
@@ -142,6 +144,20 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
         wide={name: _table(path / f"{name}.parquet") if curves else None for name in WIDE_TABLES},
         activity=activity or read_activity(path / "evaluations", ended=is_ended(facts)),
     )
+
+
+def read_results(path: Path) -> ReportedRun:
+    """Read what a run has found, without its curves, its searches and its log.
+
+    Raises
+    ------
+    RunFolderError
+        If it is no run folder, or damaged.
+    """
+    stored = read_stored_run(path, ("parameters", "errors"))
+    tables = {name: tuple(stored.tables.get(name, ())) for name in (*SMALL_TABLES, "progress")}
+    wide = dict.fromkeys(WIDE_TABLES)
+    return ReportedRun(path.resolve().name, stored.facts, "", tables, wide, NO_ACTIVITY)
 
 
 def _table(path: Path) -> pa.Table | None:
