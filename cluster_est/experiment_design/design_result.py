@@ -407,7 +407,8 @@ def make_result(
     """
     best, evidence = chosen
     experiment = best.candidate.experiment
-    signals = (*experiment.inputs, *experiment.signals, *experiment.outputs)
+    given = [each.variable for each in (*experiment.inputs, *experiment.signals)]
+    names = [*given, *(each.variable for each in experiment.outputs)]
     known = dict(experiment.values)
     remarks = [note for model in scorer.models for note in model.notes]
     if len(found.scored) < found.wanted:
@@ -426,7 +427,7 @@ def make_result(
         predictions=expected_predictions(scorer, found.scored, best),
         expected=expected_table(scorer.models, best),
         remarks=tuple(remarks),
-        units={each.variable: units.get(each.variable, "") for each in signals},
+        units={name: units.get(name, "") for name in names},
     )
 
 

@@ -494,7 +494,7 @@ class Chart:
 
 def row_chart(
     title: str, below: str, across: Scale, marks: Sequence[Mark], names: Sequence[str],
-    *, height: int = 20, least: int = 60, legend: bool = True,
+    *, height: int = 20, least: int = 60, legend: bool = True, ticks: int = 8,
 ) -> Chart:  # fmt: skip
     """Return a chart with a row of so many pixels for each name, the first one at the top.
 
@@ -502,7 +502,7 @@ def row_chart(
     """
     upright = Scale(len(names) - 0.5, -0.5)
     plot = Plot(title, "", across, upright, marks, max(least, height * len(names)), names)
-    return Chart((plot,), below, legend=legend, gutter=_gutter(names), zooms=False)
+    return Chart((plot,), below, legend, ticks, _gutter(names), zooms=False)
 
 
 def _gutter(names: Sequence[str]) -> int:

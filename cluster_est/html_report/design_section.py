@@ -14,6 +14,7 @@ from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
+    TableLine,
     code,
     table,
     with_unit,
@@ -118,7 +119,7 @@ def _models(run: ReportedRun) -> list[Block]:
     models = run.tables["probabilities"]
     if not models:
         return []
-    lines = [
+    lines: list[TableLine] = [
         (
             code(row["model"]),
             *(
@@ -141,7 +142,7 @@ def _rivals(run: ReportedRun) -> list[Block]:
     if not evidence:
         return []
     first = run.tables["probabilities"][0]["model"]
-    lines = [
+    lines: list[TableLine] = [
         (code(row["rival"]), *(times(row[key]) for key in ("evidence", "random", "best")))
         for row in evidence
         if row["true_model"] == first
@@ -155,6 +156,7 @@ def _rivals(run: ReportedRun) -> list[Block]:
 def _parameters(run: ReportedRun) -> list[Block]:
     rows = run.tables["precision"]
     names = ("parameter", "#value", "unit", "#standard error now", "#after it", "#a random input")
+    lines: list[TableLine]
     lines = [(code(row["label"]), digits(row["value"]), row["unit"], *_errors(row)) for row in rows]
     return [table(names, lines, "What the experiment is expected to do to the parameters")]
 

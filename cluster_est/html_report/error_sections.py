@@ -249,7 +249,8 @@ def errors(run: ReportedRun) -> ReportSection:
     )
     folded = len(rows) > MOST_UNFOLDED_ROWS
     picture = error_picture(run)
-    blocks = [*([picture] if picture else []), TextBlock(said), _table(rows, folded=folded)]
+    blocks: list[Block] = [] if picture is None else [picture]
+    blocks += [TextBlock(said), _table(rows, folded=folded)]
     return ReportSection("errors", "Errors before and after", tuple(blocks))
 
 

@@ -69,6 +69,7 @@ def parameter_table(run: ReportedRun) -> list[Block]:
 
 def _line(row: Row, words: dict[str, str]) -> tuple[str | TableCell, ...]:
     """A row of the table of parameters."""
+    sure: tuple[str | TableCell, str]
     half = 0.5 * (row["upper95"] - row["lower95"])
     what = row.get("description") or words.get(row["label"].partition(".")[0], "")
     name = TableCell(row["label"], code=True, more=what)

@@ -183,14 +183,8 @@ def _over(
         return None
     order = np.argsort(across, kind="stable")
     parts = [each for each in np.array_split(order, MEANS) if len(each) > 1]
-    middle, mean, error = (
-        np.array([measure(each) for each in parts])
-        for measure in (
-            lambda rows: across[rows].mean(),
-            lambda rows: up[rows].mean(),
-            lambda rows: up[rows].std() / np.sqrt(len(rows)),
-        )
-    )
+    middle, mean = (np.array([v[each].mean() for each in parts]) for v in (across, up))
+    error = np.array([up[each].std() / np.sqrt(len(each)) for each in parts])
     some = np.unique(np.linspace(0, len(order) - 1, MOST_DOTS).astype(int))
     marks: list[Mark] = [
         Dots("residual", "faint", across[some], up[some]),

@@ -199,10 +199,11 @@ def _starts(run: ReportedRun) -> list[Block]:
     blocks: list[Block] = []
     if marks:
         title = f"Waterfall of {len(rows)} starts"
-        x = Scale.around(np.array([1.0, len(ended)]))
         costs = np.array([row["cost"] for row in ended], float)
-        y = Scale.around(costs, may_be_log=True, least=LEAST_SPREAD)
-        chart = Chart((Plot(title, "cost", x, y, marks, 200),), "starts, the best first")
+        across = Scale.around(np.array([1.0, len(ended)]))
+        upright = Scale.around(costs, may_be_log=True, least=LEAST_SPREAD)
+        plot = Plot(title, "cost", across, upright, marks, 200)
+        chart = Chart((plot,), "starts, the best first")
         note = "A level step at the left is one minimum that many starts have reached."
         blocks.append(FigureBlock("waterfall", title, chart, note))
     return [*blocks, *_minima(run, rows)]

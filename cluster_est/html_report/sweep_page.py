@@ -1,4 +1,4 @@
-"""The report of a sweep: its runs beside each other, the best first, with links to their reports."""
+"""The report of a sweep: its runs beside each other, the best first, linked to their reports."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from cluster_est.errors import RunFolderError
-from cluster_est.html_report.charts import Dots, Line, Mark, Scale, row_chart
+from cluster_est.html_report.charts import Dots, Line, Mark, Rules, Scale, row_chart
 from cluster_est.html_report.error_sections import error_sizes, error_table
 from cluster_est.html_report.first_screen import parameter_table
 from cluster_est.html_report.headline import summarise
@@ -39,7 +39,7 @@ PARAMETER = "parameter "
 MOST_DRAWN = 60
 """Runs of a picture: the best ones."""
 LEAST_SPAN = 0.1
-"""Share of its largest value that a scale of errors, or of estimates without intervals, spans."""
+"""Share of the largest estimate that a scale spans where there are no intervals."""
 COLUMNS_OF_EVERY_SWEEP = (
     "run", "config", "status", "message", "doubts", "cost_before", "cost", "rmse_train",
     "rmse_test", "iterations", "evaluations", "simulations", "failures", "seconds", "seed",
@@ -129,6 +129,7 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
         tone=tone,
         sentences=_sentences(runs, ranked),
         words=words,
+        best="" if best is None else best.link,
         pictures=errors(ranked),
         sections=[section for section in sections if section.blocks],
     )
@@ -166,10 +167,13 @@ def _listed(folder: Path, row: Row, page: Path) -> ListedRun:
 
 
 def _ranked(runs: Sequence[ListedRun]) -> list[ListedRun]:
-    """Runs with an error, the best first: by the held-out one where each of them has it."""
+    """Runs with an error, the best first: by the held-out one, then those without, by training."""
     ended = [run for run in runs if math.isfinite(run.error("train"))]
-    role = "test" if all(math.isfinite(run.error("test")) for run in ended) else "train"
-    return sorted(ended, key=lambda run: run.error(role))
+    return sorted(ended, key=lambda run: (_or_last(run.error("test")), run.error("train")))
+
+
+def _or_last(error: float) -> float:
+    return error if math.isfinite(error) else math.inf
 
 
 def _headline(runs: Sequence[ListedRun], best: ListedRun | None) -> tuple[str, Tone]:
@@ -237,8 +241,12 @@ def errors(ranked: Sequence[ListedRun]) -> list[FigureBlock]:
         if np.isfinite(sizes[role]).any()
     ]
     over_noise = all(run.over_noise for run in drawn)
-    ends = [np.ones(1)] if over_noise else []
-    across = Scale.around(*sizes.values(), *ends, may_be_log=True, least=LEAST_SPAN)
+    if over_noise:
+        marks.insert(0, Rules("noise", "measured", x=(1.0,)))
+    known = [*sizes.values(), np.ones(1)] if over_noise else [*sizes.values()]
+    across = Scale.around(*known, may_be_log=True)
+    if not across.log:  # from 0 on, so that small differences look small
+        across = Scale.around(*known, np.zeros(1))
     shown = "" if len(drawn) == len(ranked) else f", {len(drawn)} of {count(len(ranked))}"
     title = f"Errors of the runs, the best first{shown}"
     below = "error over the noise" if over_noise else "error over sigma"
@@ -247,13 +255,13 @@ def errors(ranked: Sequence[ListedRun]) -> list[FigureBlock]:
 
 def _by_run(
     name: str, title: str, below: str, across: Scale, marks: Sequence[Mark],
-    drawn: Sequence[ListedRun],
+    drawn: Sequence[ListedRun], *, ticks: int = 8,
 ) -> FigureBlock:  # fmt: skip
     """A picture with a row for each run."""
     axes = _axes(drawn)
     choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in drawn]
     names = [own or run.name for own, run in zip(choices, drawn, strict=True)]
-    chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1)
+    chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1, ticks=ticks)
     return FigureBlock(name, title, chart)
 
 
@@ -288,7 +296,8 @@ def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
         title = f"Estimates of {label}"
         below = with_unit(label, next((unit for *_, unit in found if unit), ""))
         marks = [*([bars] if known else []), Dots(label, "after", value, place)]
-        figures.append(_by_run(f"estimates-{number}", title, below, across, marks, drawn))
+        name = f"estimates-{number}"
+        figures.append(_by_run(name, title, below, across, marks, drawn, ticks=2))
     blocks = (GridBlock(tuple(figures)),) if figures else ()
     return ReportSection("estimates", "Estimates", blocks)
 
