@@ -345,7 +345,7 @@ class Cells(Mark):
         return box_paths(found)
 
 
-PIXELS_A_TICK, PIXELS_A_TEXT = 40, 14
+PIXELS_A_TICK, PIXELS_A_TEXT = 40, 17
 """Height of a plot for each value that is written beside it: about, and at least."""
 MOST_SIGNS = 70
 """Signs of the numbers below a plot, and two for the space after each: more would run together."""

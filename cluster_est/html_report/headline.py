@@ -182,15 +182,8 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
 
 
-def simulated(run: ReportedRun) -> tuple[int, int]:
-    """Simulations and failures by the log, or by run.json of a run that was saved without one."""
-    if run.activity.simulations:
-        return run.activity.simulations, sum(each.count for each in run.activity.failures)
-    return int(run.facts.get("simulations") or 0), int(run.facts.get("failures") or 0)
-
-
 def _failed(run: ReportedRun) -> list[str]:
-    total, failures = simulated(run)
+    total, failures = run.simulated
     if not failures:
         return []
     total = max(total, 1)

@@ -95,6 +95,13 @@ class ReportedRun:
         return self.facts.get("verdict") is not None
 
     @property
+    def simulated(self) -> tuple[int, int]:
+        """Simulations and failures by the log, or by run.json where the run has no log."""
+        if self.activity.simulations:
+            return self.activity.simulations, sum(e.count for e in self.activity.failures)
+        return int(self.facts.get("simulations") or 0), int(self.facts.get("failures") or 0)
+
+    @property
     def kind(self) -> str:
         """The word for it at the head of the page."""
         if self.is_design:

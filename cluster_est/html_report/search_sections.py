@@ -276,14 +276,29 @@ ACTIVITY_BINS, MOST_WORKERS = 160, 64
 
 def workers(run: ReportedRun) -> ReportSection:
     """A time line, a table of workers, and failures by their reasons."""
-    blocks = [*_failures(run), *_time_line(run), *_table(run)]
+    blocks = [*_work(run), *_failures(run), *_time_line(run), *_table(run)]
     return ReportSection("workers", "Workers and failures", tuple(blocks))
+
+
+def _work(run: ReportedRun) -> list[Block]:
+    """How many simulations the run took, and how long."""
+    simulations, failures = run.simulated
+    if not simulations:
+        return []
+    failed = f"{count(failures)} failed" if failures else "none failed"
+    said = f"{count(simulations)} simulations, {failed}"
+    if run.facts.get("seconds") is not None:
+        workers = len(run.tables["workers"]) or 1
+        said += (
+            f"; {duration(run.facts['seconds'])} with {workers} worker{'s' if workers > 1 else ''}"
+        )
+    return [TextBlock(f"{said}.")]
 
 
 def _failures(run: ReportedRun) -> list[Block]:
     found = run.activity.failures
     if not found:
-        return [TextBlock("No simulation failed.")] if run.activity.simulations else []
+        return []
     names = ("#times", "status", "reason", "experiments", "#first ID")
     rows = tuple(
         (

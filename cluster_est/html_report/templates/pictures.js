@@ -2,6 +2,7 @@
 (() => {
   const SCALE = 3; // pixels of a PNG for each of the screen
   const MARGIN = 10;
+  const SPACE = document.querySelector("svg")?.namespaceURI;
   const LEFT_OUT = ".tools, .size, .tip, .cursor, .choice, title";
   const INK = ["fill", "fill-opacity", "stroke", "stroke-opacity", "stroke-width", "stroke-dasharray", "stroke-linecap", "stroke-linejoin"];
   const rounded = (value) => Number(value.toPrecision(8)); // single precision, or a place of a plot
@@ -55,7 +56,7 @@
     walk(figure);
     const [width, height] = [whole.width + 2 * MARGIN, whole.height + 2 * MARGIN], size = `width="${width}" height="${height}"`;
     const page = `<rect x="${-MARGIN}" y="${-MARGIN}" ${size} fill="${getComputedStyle(document.body).backgroundColor}"/>`;
-    return `<svg xmlns="http://www.w3.org/2000/svg" ${size} viewBox="${-MARGIN} ${-MARGIN} ${width} ${height}">${page}${parts.join("")}</svg>`;
+    return `<svg xmlns="${SPACE}" ${size} viewBox="${-MARGIN} ${-MARGIN} ${width} ${height}">${page}${parts.join("")}</svg>`;
   }
 
   // ---- the values of a figure
