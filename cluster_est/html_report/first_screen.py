@@ -29,10 +29,11 @@ MOST_PARAMETERS = 8
 
 @dataclass(frozen=True)
 class FirstScreen:
-    """What stands beside each other below the headline."""
+    """What stands beside each other below the headline; `more` is below what to do next."""
 
     words: tuple[Block, ...]
     pictures: tuple[FigureBlock, ...]
+    more: tuple[Block, ...] = ()
 
 
 def first_screen(run: ReportedRun, charts: RecordCharts) -> FirstScreen:
@@ -43,11 +44,10 @@ def first_screen(run: ReportedRun, charts: RecordCharts) -> FirstScreen:
         return FirstScreen(tuple(order_of_estimation(run)), tuple(ranking_picture(run)))
     if not run.finished:
         return FirstScreen((), ())
-    words = [
-        *effect_words(run), *parameter_table(run), *error_table(run), *sure_words(run),
-    ]  # fmt: skip
+    words = (*effect_words(run), *parameter_table(run), *error_table(run))
     shape, leads = lead_shape(run), lead_figures(charts)
-    return FirstScreen(tuple(words), (*shape, *(reversed(leads) if shape else leads)))
+    pictures = (*shape, *(reversed(leads) if shape else leads))
+    return FirstScreen(words, pictures, tuple(sure_words(run)))
 
 
 def parameter_table(run: ReportedRun) -> list[Block]:

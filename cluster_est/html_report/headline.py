@@ -104,8 +104,9 @@ def _designed(run: ReportedRun) -> str:
     rows = [row for row in run.tables["probabilities"] if not math.isnan(row["after"])]
     if rows:
         told = sum(row["after"] > max(LIKELY, row["before"]) for row in rows)
-        of = "none" if not told else "each" if told == len(rows) else f"{told}"
-        return f"{said}; tells {of} of {len(rows)} models from its rivals if it is right"
+        if not told:
+            return f"{said}; tells no model from its rivals"
+        return f"{said}; tells {told} of {len(rows)} models from its rivals if it is right"
     before, after = "std_error_before", "std_error_after"
     of_all = run.tables["prediction_precision"] or run.tables["precision"]
     rows = [row for row in of_all if row[before] > 0.0 and row[after] >= 0.0]
@@ -184,13 +185,12 @@ def _listed(names: list[str]) -> str:
 
 def _failed(run: ReportedRun) -> list[str]:
     total, failures = run.simulated
-    if not failures:
+    tried = run.facts.get("failures_in_search", 0)
+    if not failures or tried == failures:  # the section on workers says it
         return []
     total = max(total, 1)
     share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
-    tried = run.facts.get("failures_in_search", 0)
-    which = "all" if tried == failures else count(tried)
-    of = f", {which} of them while effects were tried" if tried else ""
+    of = f", {count(tried)} of them while effects were tried" if tried else ""
     return [f"{count(failures)} of {count(total)} simulations failed ({share}){of}."]
 
 

@@ -286,6 +286,8 @@ def _work(run: ReportedRun) -> list[Block]:
     if not simulations:
         return []
     failed = f"{count(failures)} failed" if failures else "none failed"
+    if failures and failures == run.facts.get("failures_in_search"):
+        failed += ", all of them while effects were tried"
     said = f"{count(simulations)} simulations, {failed}"
     if run.facts.get("seconds") is not None:
         workers = len(run.tables["workers"]) or 1
