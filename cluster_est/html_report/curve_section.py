@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -115,13 +116,13 @@ class RecordCharts:
         self._rows = {(r["experiment"], r["output"]): i for i, r in enumerate(self._sizes.rows)}
         self._unit = time_unit(max((each.span for each in self._known.values()), default=0.0))
 
-    @property
+    @cached_property
     def shown(self) -> list[Key]:
         """The records that have a chart, in their order: those with the largest errors."""
         kept = set(self.ranked()[:MOST_CURVE_PANELS])
         return [key for key in self._known if key in kept]
 
-    @property
+    @cached_property
     def columns(self) -> int:
         """Of each chart."""
         points = sum(10 + 4 * len(self._known[key].inputs[:MOST_INPUTS]) for key in self.shown)
