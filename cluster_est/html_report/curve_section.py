@@ -9,7 +9,15 @@ from functools import cached_property
 
 import numpy as np
 
-from cluster_est.html_report.charts import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
+from cluster_est.html_report.charts import (
+    Band,
+    Chart,
+    Dots,
+    Line,
+    Mark,
+    Plot,
+    Rules,
+)
 from cluster_est.html_report.error_sections import error_sizes
 from cluster_est.html_report.full_records import FullRecord, full_records
 from cluster_est.html_report.number_text import TimeUnit, count, time_unit
@@ -23,6 +31,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.recorded_curves import InputCurve, Key, OutputCurves
 from cluster_est.html_report.reported_run import ReportedRun
+from cluster_est.html_report.scales import Scale
 from cluster_est.problem.tables.gaps import long_steps
 from workers.messages import FloatArray, IntArray
 

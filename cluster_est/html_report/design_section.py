@@ -8,7 +8,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cluster_est.experiment_design.design_sentences import times
-from cluster_est.html_report.charts import Band, Chart, Line, Mark, Plot, Scale
+from cluster_est.html_report.charts import (
+    Band,
+    Chart,
+    Line,
+    Mark,
+    Plot,
+)
 from cluster_est.html_report.number_text import digits
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -20,6 +26,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 from cluster_est.problem.display import percent
 from workers.messages import FloatArray
 

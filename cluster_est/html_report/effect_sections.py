@@ -17,7 +17,6 @@ from cluster_est.html_report.charts import (
     Line,
     Mark,
     Plot,
-    Scale,
 )
 from cluster_est.html_report.number_text import beside, digits, interval
 from cluster_est.html_report.page_blocks import (
@@ -35,6 +34,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from workers.messages import FloatArray
 

@@ -10,7 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cluster_est.html_report.charts import Dots, Line, Mark, Rules, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Dots,
+    Line,
+    Mark,
+    Rules,
+    row_chart,
+)
 from cluster_est.html_report.number_text import count, digits, percent
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -25,6 +31,7 @@ from cluster_est.html_report.page_blocks import (
     table,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 
 MOST_EXPERIMENT_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""

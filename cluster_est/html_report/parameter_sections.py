@@ -7,7 +7,13 @@ from collections import defaultdict
 
 import numpy as np
 
-from cluster_est.html_report.charts import Chart, Dots, Line, Plot, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Chart,
+    Dots,
+    Line,
+    Plot,
+    row_chart,
+)
 from cluster_est.html_report.number_text import MINUS, beside, compact, digits, interval, percent
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -23,6 +29,7 @@ from cluster_est.html_report.page_blocks import (
     table,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 from cluster_est.html_report.search_sections import profiles
 from workers.messages import FloatArray
 

@@ -17,7 +17,6 @@ from cluster_est.html_report.charts import (
     Mark,
     Plot,
     Rules,
-    Scale,
 )
 from cluster_est.html_report.number_text import percent
 from cluster_est.html_report.page_blocks import (
@@ -30,6 +29,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.recorded_curves import OutputCurves
 from cluster_est.html_report.reported_run import ReportedRun
+from cluster_est.html_report.scales import Scale
 from cluster_est.statistics.residual_tests import lagged_products
 from workers.messages import FloatArray
 

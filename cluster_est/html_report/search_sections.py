@@ -11,7 +11,15 @@ import numpy as np
 
 from cluster_est.closed_loop.settings import stage_title
 from cluster_est.html_report.activity import busy_shares, without_breaks
-from cluster_est.html_report.charts import Cells, Chart, Dots, Line, Plot, Rules, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Cells,
+    Chart,
+    Dots,
+    Line,
+    Plot,
+    Rules,
+    row_chart,
+)
 from cluster_est.html_report.number_text import count, digits, duration, percent, time_unit
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -27,6 +35,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 
 MOST_DRAWN_SEARCHES = 40
 """Searches that are drawn: the best ones."""

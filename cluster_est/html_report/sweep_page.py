@@ -13,7 +13,13 @@ from urllib.parse import quote
 import numpy as np
 
 from cluster_est.errors import RunFolderError
-from cluster_est.html_report.charts import Dots, Line, Mark, Rules, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Dots,
+    Line,
+    Mark,
+    Rules,
+    row_chart,
+)
 from cluster_est.html_report.error_sections import error_sizes, error_table
 from cluster_est.html_report.first_screen import parameter_table
 from cluster_est.html_report.headline import summarise
@@ -32,6 +38,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row, read_results
+from cluster_est.html_report.scales import Scale
 from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
 PARAMETER = "parameter "
