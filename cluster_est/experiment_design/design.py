@@ -149,8 +149,8 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             "fitting the models",
             lambda runner: fit_candidates(runner, request.models, request.seed),
         )
+        units = {v.name: v.unit for v in request.problem.describe().variables.values()}
         if request.targets:
-            units = {v.name: v.unit for v in request.problem.describe().variables.values()}
             fitted[0] = with_predictions(queue, fitted[0], request.targets, units)
         labels = tuple(each for each in narrowed_labels(request) if each not in fitted[0].held)
         scorer = CandidateScorer(fitted, request.criterion, labels, queue)
@@ -170,7 +170,7 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
                 chosen = confirmed_choice(queue, fitted, leading, noise)
             except BudgetError:
                 remarks = (UNCONFIRMED,)
-    result = make_result(scorer, found, maker, chosen)
+    result = make_result(scorer, found, maker, chosen, units)
     return replace(
         result,
         remarks=(*result.remarks, *remarks),

@@ -44,6 +44,7 @@ from cluster_est.experiment_design.input_search import (
     ranked,
 )
 from cluster_est.experiment_design.models import FittedCandidate
+from cluster_est.results.fit_tables import coefficient_units
 from workers.fmu.description import nearest
 from workers.grid import values_at
 from workers.messages import Experiment, FloatArray
@@ -116,10 +117,14 @@ def expected_probability(
 
 
 def expected_precision(
-    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+    scorer: CandidateScorer,
+    found: Sequence[ScoredCandidate],
+    best: ScoredCandidate,
+    units: Mapping[str, str],
 ) -> tuple[ExpectedPrecision, ...]:
     """Return the standard error of every parameter that counts, before and after."""
     fitted, labels = scorer.models[0], scorer.parameters
+    units = {**units, **coefficient_units(fitted.space.problem)}
 
     def errors(each: ScoredCandidate) -> FloatArray:
         after = covariances(fitted, each.predicted[0], labels)[1]
@@ -134,13 +139,13 @@ def expected_precision(
         unknown, searched = fitted.space.unknowns[i], float(fitted.x[i])
         step = 1e-6 * max(abs(searched), 1.0)
         ends = unknown.to_physical(searched + step), unknown.to_physical(searched - step)
-        unit = abs(ends[0] - ends[1]) / (2.0 * step)
+        slope = abs(ends[0] - ends[1]) / (2.0 * step)
         rows.append(
             ExpectedPrecision(
                 label,
-                unknown.parameter.unit,
+                unknown.parameter.unit or units.get(unknown.parameter.target, ""),
                 unknown.to_physical(searched),
-                *(unit * float(each[place]) for each in (before, after, random, recorded)),
+                *(slope * float(each[place]) for each in (before, after, random, recorded)),
             )
         )
     return tuple(rows)
@@ -211,6 +216,8 @@ class DesignResult:
         What each model predicts of it: see `expected_table`.
     remarks
         Sentences on the fits that it rests on, and on the search.
+    units
+        The FMU's units of its inputs, signals and outputs, where it names them.
     evaluations, simulated, failures, seconds
         Its cost.
     """
@@ -228,6 +235,7 @@ class DesignResult:
     expected: pa.Table = field(repr=False)
     predictions: tuple[ExpectedPredictionError, ...] = ()
     remarks: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     evaluations: int = 0
     simulated: int = 0
     failures: int = 0
@@ -368,6 +376,7 @@ class DesignResult:
                 "waveform": how.waveform,
                 "duration": self.duration,
                 "start": dict(self.chosen_starts),
+                "units": dict(self.units),
                 "block": experiment_block(self.experiment, TABLE, STEM),
             },
             "notes": list(self.notes),
@@ -383,6 +392,7 @@ def make_result(
     found: SearchedCandidates,
     maker: CandidateMaker,
     chosen: tuple[ScoredCandidate, FloatArray],
+    units: Mapping[str, str],
 ) -> DesignResult:
     """Put what a search has found into words and tables; its cost is added by the caller.
 
@@ -392,9 +402,13 @@ def make_result(
         What scored candidates, all of them, and what made them.
     chosen
         The one that was chosen, and its evidence, (true model, rival).
+    units
+        Of the FMU's variables, by name.
     """
     best, evidence = chosen
     experiment = best.candidate.experiment
+    given = [each.variable for each in (*experiment.inputs, *experiment.signals)]
+    names = [*given, *(each.variable for each in experiment.outputs)]
     known = dict(experiment.values)
     remarks = [note for model in scorer.models for note in model.notes]
     if len(found.scored) < found.wanted:
@@ -409,10 +423,11 @@ def make_result(
         candidates=found.scored,
         probabilities=expected_probability(scorer, found.scored, evidence),
         evidence=expected_evidence(scorer, found.scored, evidence),
-        precision=expected_precision(scorer, found.scored, best),
+        precision=expected_precision(scorer, found.scored, best, units),
         predictions=expected_predictions(scorer, found.scored, best),
         expected=expected_table(scorer.models, best),
         remarks=tuple(remarks),
+        units={name: units.get(name, "") for name in names},
     )
 
 

@@ -12,112 +12,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Self, final
+from typing import ClassVar, final
 
 import numpy as np
 from markupsafe import Markup
 
-from cluster_est.html_report.number_text import MINUS
+from cluster_est.html_report.scales import PLOT_UNITS, Scale
 from workers.messages import FloatArray, IntArray
-
-PLOT_UNITS = 10_000
-"""Places across a plot and up a plot: fine enough that a value read back has four digits."""
-
-LOG_FROM = 10.0
-"""Ratio of two positive values beyond which a scale that may be logarithmic is."""
-
-LEAST_TICKS = 2
-
-MORE = 1.35
-"""Times the asked number of parts there may be, rather than fewer than half."""
-
-
-@final
-@dataclass(frozen=True)
-class Scale:
-    """The values at both ends of a plot, which lie evenly between, or their logarithms do.
-
-    Attributes
-    ----------
-    low, high
-        Different from each other; both positive where `log`.
-    log
-        Whether it is logarithmic.
-    """
-
-    low: float
-    high: float
-    log: bool = False
-
-    @classmethod
-    def around(cls, *values: FloatArray, margin: float = 0.04, may_be_log: bool = False) -> Self:
-        """A scale that holds all finite values, with a margin as a share of their range."""
-        known = np.concatenate([np.ravel(each) for each in values]) if values else np.zeros(0)
-        known = known[np.isfinite(known)]
-        if not len(known):
-            return cls(0.0, 1.0)
-        low, high = float(known.min()), float(known.max())
-        if may_be_log and low > 0.0 and high / low > LOG_FROM:
-            wider = (high / low) ** margin
-            return cls(low / wider, high * wider, log=True)
-        if high - low <= 1e-12 * max(abs(low), abs(high)):  # nothing but rounding would fill it
-            wider = 0.5 * abs(high) or 1.0
-            return cls(low - wider, high + wider)
-        wider = margin * (high - low)
-        return cls(low - wider, high + wider)
-
-    def places(self, values: FloatArray) -> FloatArray:
-        """Return positions from 0 at the low end to `PLOT_UNITS` at the high one; NaN stays NaN."""
-        if self.log:
-            with np.errstate(all="ignore"):
-                shares = np.log(values / self.low) / math.log(self.high / self.low)
-            return np.asarray(PLOT_UNITS * np.where(np.isfinite(shares), shares, np.nan))
-        return np.asarray(PLOT_UNITS * (values - self.low) / (self.high - self.low))
-
-    def ticks(self, count: int) -> tuple[tuple[float, str], ...]:
-        """About so many round values between both ends, two at least, and how they are written."""
-        if self.log:
-            return self._powers(count)
-        values: list[float] = []
-        while len(values) < LEAST_TICKS:  # one alone gives no measure of the scale
-            step = nice_step(self.high - self.low, count)
-            first, last = math.ceil(self.low / step), math.floor(self.high / step)
-            values = [step * number for number in range(first, last + 1)]
-            count += 1
-        return tuple((value, tick_text(value, step)) for value in values)
-
-    def _powers(self, count: int) -> tuple[tuple[float, str], ...]:
-        """Powers of ten, with 2 and 5 between where there is room."""
-        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
-        for leading in ((1, 2, 5), (1, 3), (1,)):
-            found = [m * 10.0**power for power in range(first, last + 1) for m in leading]
-            found = [value for value in found if self.low <= value <= self.high]
-            if len(found) <= count + 1:
-                break
-        found = found[:: max(1, math.ceil(len(found) / (count + 1)))]
-        return tuple((value, f"{value:g}".replace("-", MINUS)) for value in found)
-
-
-def nice_step(span: float, count: int) -> float:
-    """The least of 1, 2 and 5 times a power of ten that cuts a span into about `count` parts."""
-    raw = span / (MORE * max(1, count))
-    power = 10.0 ** math.floor(math.log10(raw))
-    return next(m * power for m in (1, 2, 5, 10) if m * power >= raw * (1.0 - 1e-9))
-
-
-def tick_text(value: float, step: float) -> str:
-    """A multiple of a step, with as many digits as tell it from the next one."""
-    if abs(value) < 1e-9 * step:
-        return "0"
-    size = max(abs(value), step)
-    if 1e-3 <= size < 1e5 and step >= 1e-6:
-        text = f"{value:.{max(0, -math.floor(math.log10(step) + 1e-9))}f}"
-    else:
-        digits = math.floor(math.log10(size) + 1e-9) - math.floor(math.log10(step) + 1e-9)
-        mantissa, _, exponent = f"{value:.{digits}e}".partition("e")
-        text = f"{mantissa}e{int(exponent)}"
-    return text.replace("-", MINUS)
-
 
 LARGEST_COORDINATE = 100 * PLOT_UNITS
 """Places beyond this are cut off: a browser draws them in single precision."""
@@ -334,17 +235,19 @@ class Cells(Mark):
         return box_paths(found)
 
 
-PIXELS_A_TICK = 40
-"""Height of a plot for each value that is written beside it."""
+PIXELS_A_TICK, PIXELS_A_TEXT = 40, 17
+"""Height of a plot for each value that is written beside it: about, and at least."""
 MOST_SIGNS = 70
 """Signs of the numbers below a plot, and two for the space after each: more would run together."""
 
 PLOT = Markup(
-    '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}">{label}{beside}'
+    '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}"{called}>{label}{beside}'
     '<svg viewBox="0 0 {units} {units}" preserveAspectRatio="none" role="img" aria-label="{title}">'
     '<title>{title}</title><path class="grid" d="{grid}"/>{marks}</svg>{below}</div>'
 )
-CHART = Markup('<div class="chart{classes}"{gutter}>{legend}{plots}{under}</div>')
+CHART = Markup('<div class="chart{classes}"{gutter}{record}>{legend}{plots}{under}</div>')
+USUAL_GUTTER = 56
+"""Pixels at the left of a plot for the numbers there, where they are short."""
 
 
 @final
@@ -366,6 +269,9 @@ class Plot:
         In pixels.
     rows
         Names of the rows at y = 0, 1, ...; round values of y without names.
+    called
+        What its values are called under the pointer and in a file, where the names of the marks
+        stand for something else in the chart's other plots.
     """
 
     title: str
@@ -375,12 +281,14 @@ class Plot:
     marks: Sequence[Mark] = field(repr=False)
     height: int = 220
     rows: Sequence[str] = ()
+    called: str = ""
 
     def beside(self) -> tuple[tuple[float, str], ...]:
         """Values of y with what is written at them."""
         if self.rows:
             return tuple((float(i), name) for i, name in enumerate(self.rows))
-        return self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
+        ticks = self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
+        return ticks[:: math.ceil(len(ticks) * PIXELS_A_TEXT / self.height)]
 
     def under(self, most: int) -> tuple[tuple[float, str], ...]:
         """Values of x with what is written at them, as many as there is room for."""
@@ -400,6 +308,7 @@ class Plot:
             height=self.height,
             x=_ends(self.x),
             y=_ends(self.y) if not self.rows else "",
+            called=Markup(' data-called="{}"').format(self.called) if self.called else "",
             label=Markup('<p class="label">{}</p>').format(self.label) if self.label else "",
             beside=_texts("y-axis", "bottom", up),
             title=self.title,
@@ -434,6 +343,8 @@ class Chart:
         Pixels at the left for what is written there; None for numbers.
     zooms
         Whether values are shown under the pointer, and dragging zooms.
+    record
+        Name of the `FullRecord` that has every sample of it; "" if there is none.
     """
 
     plots: Sequence[Plot]
@@ -442,17 +353,20 @@ class Chart:
     across: int = 8
     gutter: int | None = None
     zooms: bool = True
+    record: str = ""
 
     def html(self) -> Markup:
         """The chart as HTML."""
         last = len(self.plots) - 1
         plots = [plot.html(across=self.across, last=i == last) for i, plot in enumerate(self.plots)]
-        gutter = (
-            Markup(' style="--gutter:min({}px,40vw)"').format(self.gutter) if self.gutter else ""
+        gutter = self.gutter or max(
+            (_gutter([text for _, text in plot.beside()]) for plot in self.plots), default=0
         )
+        wide = Markup(' style="--gutter:min({}px,40vw)"').format(gutter)
         return CHART.format(
             classes=" zooms" if self.zooms else "",
-            gutter=gutter,
+            gutter=wide if gutter > USUAL_GUTTER else "",
+            record=Markup(' data-record="{}"').format(self.record) if self.record else "",
             legend=self._legend(),
             plots=Markup("").join(plots),
             under=Markup('<p class="below">{}</p>').format(self.below) if self.below else "",
@@ -470,7 +384,7 @@ class Chart:
 
 def row_chart(
     title: str, below: str, across: Scale, marks: Sequence[Mark], names: Sequence[str],
-    *, height: int = 20, least: int = 60, legend: bool = True,
+    *, height: int = 20, least: int = 60, legend: bool = True, ticks: int = 8,
 ) -> Chart:  # fmt: skip
     """Return a chart with a row of so many pixels for each name, the first one at the top.
 
@@ -478,7 +392,7 @@ def row_chart(
     """
     upright = Scale(len(names) - 0.5, -0.5)
     plot = Plot(title, "", across, upright, marks, max(least, height * len(names)), names)
-    return Chart((plot,), below, legend=legend, gutter=_gutter(names), zooms=False)
+    return Chart((plot,), below, legend, ticks, _gutter(names), zooms=False)
 
 
 def _gutter(names: Sequence[str]) -> int:

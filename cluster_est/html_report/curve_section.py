@@ -1,26 +1,37 @@
-"""Measured, before, after and residual curves of every experiment."""
+"""Curves of every experiment: inputs, measured and simulated outputs, and what is left of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
-from cluster_est.html_report.charts import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
-from cluster_est.html_report.number_text import TimeUnit, count, digits, time_unit
+from cluster_est.html_report.charts import (
+    Band,
+    Chart,
+    Dots,
+    Line,
+    Mark,
+    Plot,
+    Rules,
+)
+from cluster_est.html_report.error_sections import error_sizes
+from cluster_est.html_report.full_records import FullRecord, full_records
+from cluster_est.html_report.number_text import TimeUnit, count, time_unit
 from cluster_est.html_report.page_blocks import (
     CurvePanel,
+    FigureBlock,
     PanelsBlock,
     ReportSection,
     TextBlock,
     with_unit,
 )
-from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.recorded_curves import InputCurve, Key, OutputCurves
+from cluster_est.html_report.reported_run import ReportedRun
+from cluster_est.html_report.scales import Scale
 from cluster_est.problem.tables.gaps import long_steps
 from workers.messages import FloatArray, IntArray
 
@@ -69,84 +80,183 @@ def column_of(x: FloatArray, columns: int) -> IntArray:
     return np.minimum(((x - low) / span * columns).astype(np.int64), columns - 1)
 
 
-MOST_CURVE_POINTS = 90_000
+MOST_CURVE_POINTS = 80_000
 """Points of all curves together: about 7 bytes each in the page."""
 FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART = 20, 600
 """Limits of the columns of a chart, each with the lowest and the highest sample of every curve."""
 MOST_CURVE_PANELS = 250
+MOST_INPUTS = 3
+"""Inputs that are drawn above an output."""
 FEW_SAMPLES = 150
 """Number of measured values up to which they are dots."""
 CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))
 """Names and inks."""
-HEIGHT, RESIDUAL_HEIGHT = 170, 84
-Key = tuple[str, str]
+INPUT_HEIGHT, HEIGHT, RESIDUAL_HEIGHT = 44, 170, 84
+LEAD_HEIGHT, LEAD_RESIDUAL_HEIGHT = 180, 90
+"""The same of the charts at the head of the page."""
+MOST_BEFORE = 3.0
+"""Heights of the other curves that the one before may make a plot higher; beyond, it is cut off."""
+LIMITS_OF_NOISE = 2.0
+"""Times the noise at which lines stand beside a residual."""
+RESIDUAL = "residual"
 
 
 @dataclass(frozen=True)
-class OutputCurves:
-    """One output of one experiment: what was measured and simulated, at the measured times.
+class _Across:
+    """What all plots of a chart share: the scale of the time, its unit in seconds, the columns."""
 
-    `before` is NaN where it is not known; `fine` are the simulated curves with a time of their own;
-    `band` is where the output lies by the posterior.
+    x: Scale
+    seconds: float
+    columns: int
+
+
+class RecordCharts:
+    """Makes the charts of a run, all with the same unit of time.
+
+    Parameters
+    ----------
+    run
+        With curves.
     """
 
-    time: FloatArray = field(repr=False)
-    measured: FloatArray = field(repr=False)
-    after: FloatArray = field(repr=False)
-    before: FloatArray = field(repr=False)
-    residual: FloatArray = field(repr=False)
-    fine: tuple[FloatArray, FloatArray, FloatArray] | None = field(default=None, repr=False)
-    band: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False)
+    def __init__(self, run: ReportedRun) -> None:
+        self._known = run.curves
+        self._sizes = error_sizes(run)
+        self._rows = {(r["experiment"], r["output"]): i for i, r in enumerate(self._sizes.rows)}
+        self._unit = time_unit(max((each.span for each in self._known.values()), default=0.0))
+
+    @cached_property
+    def shown(self) -> list[Key]:
+        """The records that have a chart, in their order: those with the largest errors."""
+        kept = set(self.ranked()[:MOST_CURVE_PANELS])
+        return [key for key in self._known if key in kept]
+
+    @cached_property
+    def columns(self) -> int:
+        """Of each chart."""
+        points = sum(10 + 4 * len(self._known[key].inputs[:MOST_INPUTS]) for key in self.shown)
+        columns = MOST_CURVE_POINTS / max(points, 1)
+        return int(np.clip(columns, FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART))
+
+    def ranked(self, role: str = "") -> list[Key]:
+        """The records of a role, the one with the largest error over its measure first."""
+        own = [key for key, each in self._known.items() if role in ("", each.role)]
+        return sorted(own, key=lambda key: -self._size(key))
+
+    def _size(self, key: Key) -> float:
+        """The error of a record over its measure; less than any other where it is not known."""
+        row = self._rows.get(key)
+        size = math.nan if row is None else self._sizes.of([row], "after")
+        return -1.0 if math.isnan(size) else size
+
+    def full(self) -> dict[str, FullRecord]:
+        """The records that are thinned in their charts, as far as there is room for them."""
+        long = [key for key in self.ranked() if self._is_thinned(key)]
+        heads = [found[0] for role in ("train", "test") if (found := self.ranked(role))]
+        order = [*(key for key in heads if key in long), *(key for key in long if key not in heads)]
+        known = {_name(key): _without_lines(self._known[key], self._unit) for key in order}
+        return full_records(known, known)
+
+    def _is_thinned(self, key: Key) -> bool:
+        each = self._known[key]
+        return each.has_times and len(each.measured) > 2 * self.columns + 2
+
+    def note(self, key: Key) -> str:
+        """The role of a record and its error, in the unit of the output and over its measure."""
+        row = self._rows.get(key)
+        held_out = self._known[key].role == "test"
+        return ("held out, " if held_out else "") + ("" if row is None else self._sizes.said([row]))
+
+    def chart(self, key: Key, *, lead: bool = False) -> Chart:
+        """The chart of a record: its inputs, the output, and what is left of it."""
+        each, row = self._known[key], self._rows.get(key)
+        name, unit = (
+            " of ".join(reversed(key)),
+            "" if row is None else self._sizes.rows[row]["unit"],
+        )
+        if not each.has_times:
+            return _distances(name, each, self.columns)
+        heights = (LEAD_HEIGHT, LEAD_RESIDUAL_HEIGHT) if lead else (HEIGHT, RESIDUAL_HEIGHT)
+        seconds = self._unit.seconds
+        x = Scale.around(each.time / seconds, (each.fine or (each.time,))[0] / seconds, margin=0.0)
+        across = _Across(x, seconds, self.columns)
+        inputs = [_input(given, across) for given in each.inputs[:MOST_INPUTS]]
+        output = Plot(
+            f"{name}: measured and simulated over time",
+            with_unit(key[1], unit),
+            x,
+            _upright(each),
+            _upper(each, across),
+            heights[0],
+        )
+        noise = math.nan if row is None else self._sizes.noise(row)
+        residual = _residual(name, each, across, unit, noise, heights[1])
+        record = _name(key) if self._is_thinned(key) else ""
+        below = f"time ({self._unit.name})"
+        return Chart((*inputs, output, residual), below, lead, 5, record=record)
 
 
-def curves(run: ReportedRun) -> ReportSection:
-    """Every output of every experiment as a small chart, the most telling one in large."""
-    table = run.residuals
-    if table is None or not table.num_rows:
+def _name(key: Key) -> str:
+    """The name of a record on the page."""
+    return " ".join(key)
+
+
+def lead_figures(charts: RecordCharts) -> list[FigureBlock]:
+    """The training record with the largest error, and the held-out one, for the head of a page."""
+    found = []
+    for role, id_, one, worst in (
+        ("train", "worst", "The training record", "The worst training record"),
+        ("test", "held-out", "The held-out record", "The worst held-out record"),
+    ):
+        keys = charts.ranked(role)
+        if keys:
+            called = one if len(keys) == 1 else worst
+            said = charts.note(keys[0]).removeprefix("held out, ")
+            title = f"{called}: {', '.join(keys[0])}{f'; {said}' if said else ''}"
+            found.append(FigureBlock(id_, title, charts.chart(keys[0], lead=True)))
+    return found
+
+
+def curves(run: ReportedRun, charts: RecordCharts, full: Sequence[str]) -> ReportSection:
+    """Every output of every experiment as a small chart.
+
+    Parameters
+    ----------
+    run, charts
+        The run, and what makes its charts.
+    full
+        Names of the records whose samples are all in the page.
+    """
+    if not run.curves:
         return ReportSection("curves", "Curves", ())
-    measured, simulated = _parts(table), _parts(run.trajectories)
-    predicted = _parts(run.predictions)
-    known = {
-        key: _curves(part, simulated.get(key), predicted.get(key)) for key, part in measured.items()
-    }
-    errors = {(row["experiment"], row["output"]): row for row in run.tables["errors"]}
-    roles = {key: str(part["role"][0].as_py()) for key, part in measured.items()}
-    first = _most_telling(errors, list(known))
-    shown = list(known) if len(known) <= MOST_CURVE_PANELS else _largest(errors, list(known))
-    columns = int(
-        np.clip(
-            MOST_CURVE_POINTS / (10 * len(shown)), FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART
-        )
-    )
-    unit = time_unit(max((_span(each.time) for each in known.values()), default=0.0))
-    panels = [
-        CurvePanel(
-            experiment=key[0],
-            output=key[1],
-            note=_note(roles[key], errors.get(key)),
-            chart=_chart(key, known[key], errors.get(key), unit, columns),
-            first=key == first,
-        )
-        for key in shown
-    ]
-    inks = tuple(each for each in CURVES if _has(known, each[0]))
-    text = TextBlock(_how(run, known, len(shown), columns))
-    return ReportSection(
-        "curves", "Measured and simulated", (text, PanelsBlock(tuple(panels), inks))
-    )
+    panels = [CurvePanel(*key, charts.note(key), charts.chart(key)) for key in charts.shown]
+    known = run.curves.values()
+    inks = tuple(e for e in CURVES if any(np.isfinite(getattr(c, e[0])).any() for c in known))
+    blocks = TextBlock(_how(run, charts, len(full))), PanelsBlock(tuple(panels), inks)
+    return ReportSection("curves", "Measured and simulated", blocks)
 
 
-def _how(run: ReportedRun, known: Mapping[Key, OutputCurves], shown: int, columns: int) -> str:
+def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
     """Say what is drawn and what is left out."""
-    said = f"Before: {run.before}. The lower part of each chart is measured minus simulated."
-    longest = max(len(each.measured) for each in known.values())
-    if longest > 2 * columns + 2:
+    known, shown, columns = run.curves, charts.shown, charts.columns
+    said = (
+        f"Before: {run.before}. The lowest part of each chart is measured minus simulated (after), "
+        f"on its own scale; the dashed lines are {LIMITS_OF_NOISE:g} times the noise."
+    )
+    long = sum(len(each.measured) > 2 * columns + 2 for each in known.values())
+    if long:
         samples = sum(len(each.measured) for each in known.values())
         said += (
-            f" Of {count(samples)} measured values, each of {columns} columns of a chart shows "
-            "the lowest and the highest, so that no peak is lost; zooming in shows no other "
-            "values."
+            f" Of {count(samples)} measured values, each of {columns} columns of a chart shows the "
+            "lowest and the highest, so that no peak is lost. "
         )
+        of = "all" if full == long else f"{full} of {long}"
+        said += (
+            f"On zooming in, every sample appears in {of} of the long records."
+            if full
+            else "On zooming in, no others appear."
+        )
+        said += " residuals.parquet in the run's folder has them all." if full < long else ""
     else:
         said += " Every sample is drawn."
     if any(each.band is not None for each in known.values()):
@@ -154,77 +264,73 @@ def _how(run: ReportedRun, known: Mapping[Key, OutputCurves], shown: int, column
             " The shaded band shows the output for the posterior of the values; it does not "
             "include the noise of a measurement."
         )
-    if shown < len(known):
-        said += f" Of {count(len(known))} charts the {shown} with the largest errors are drawn."
+    most = max(len(each.inputs) for each in known.values())
+    if most > MOST_INPUTS:
+        said += f" Of up to {most} inputs that change, {MOST_INPUTS} are drawn."
+    if len(shown) < len(known):
+        said += (
+            f" Of {count(len(known))} charts the {len(shown)} with the largest errors are drawn."
+        )
     return said
 
 
-def _has(known: Mapping[Key, OutputCurves], name: str) -> bool:
-    return any(np.isfinite(getattr(each, name)).any() for each in known.values())
+def _input(given: InputCurve, across: _Across) -> Plot:
+    """An input above the output."""
+    time, x = given.time / across.seconds, across.x
+    inside = np.flatnonzero((time >= x.low) & (time <= x.high))
+    rows = slice(*(inside[[0, -1]] + [0, 1])) if len(inside) else slice(0, None)
+    line = replace(_line(given.name, time[rows], given.value[rows], across.columns), ink="series-2")
+    title = f"input {given.name} over time"
+    label = with_unit(given.name, given.unit)
+    return Plot(title, label, x, Scale.around(line.y, margin=0.1), [line], INPUT_HEIGHT)
 
 
-def _size(row: Row | None, name: str) -> float:
-    value = math.nan if row is None else row[name]
-    return -1.0 if value is None or math.isnan(value) else float(value)
+def _upright(each: OutputCurves) -> Scale:
+    """The scale of an output: what was measured and simulated, and before unless that is far off.
+
+    What is too high is cut off.
+    """
+    after = each.after if each.fine is None else each.fine[1]
+    before = each.before if each.fine is None else each.fine[2]
+    own = [each.measured, after, *(each.band or ())]
+    usual, all_ = Scale.around(*own), Scale.around(*own, before)
+    room = MOST_BEFORE * (usual.high - usual.low)
+    if all_.high - all_.low <= room or not np.isfinite(after).any():
+        return all_
+    middle = 0.5 * (usual.low + usual.high)
+    return Scale(max(all_.low, middle - 0.5 * room), min(all_.high, middle + 0.5 * room))
 
 
-def _most_telling(errors: Mapping[Key, Row], keys: Sequence[Key]) -> Key:
-    """Where the error has changed most."""
-
-    def change(key: Key) -> float:
-        row = errors.get(key)
-        return abs(_size(row, "normalised_before") - _size(row, "normalised_after"))
-
-    return max(keys, key=change)
-
-
-def _largest(errors: Mapping[Key, Row], keys: Sequence[Key]) -> list[Key]:
-    """Return the curves with the largest errors, in their order."""
-    ranked = sorted(keys, key=lambda key: -_size(errors.get(key), "normalised_after"))
-    kept = set(ranked[:MOST_CURVE_PANELS])
-    return [key for key in keys if key in kept]
-
-
-def _note(role: str, row: Row | None) -> str:
-    parts = ["held out"] if role == "test" else []
-    if row is not None:
-        unit = f" {row['unit']}" if row["unit"] else ""
-        before, after = digits(row["rmse_before"], 3), digits(row["rmse_after"], 3)
-        parts.append(f"error {before} \u2192 {after}{unit}")
-    return ", ".join(parts)
-
-
-def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, columns: int) -> Chart:
-    """The chart of one output of one experiment."""
-    name, quantity = " of ".join(reversed(key)), row["unit"] if row is not None else ""
-    if not np.isfinite(each.time).any():
-        return _distances(name, each, columns)
-    time = each.time / unit.seconds
-    upper: list[Mark] = []
-    if each.band is not None:
-        upper.append(_band(time, each.band, columns))
+def _upper(each: OutputCurves, across: _Across) -> list[Mark]:
+    """What was measured and simulated."""
+    seconds, columns = across.seconds, across.columns
+    time = each.time / seconds
+    marks: list[Mark] = [] if each.band is None else [_band(time, each.band, columns)]
     few = len(time) <= FEW_SAMPLES
     measured = Dots("measured", "measured", time, each.measured)
-    upper.append(measured if few else broken_line("measured", time, each.measured, columns))
-    lower: list[Mark] = [Rules("", "faint", y=(0.0,))]
+    marks.append(measured if few else broken_line("measured", time, each.measured, columns))
     fine_time, fine_after, fine_before = each.fine or (each.time, each.after, each.before)
-    for label, curve, fine in (
-        ("before", each.before, fine_before),
-        ("after", each.after, fine_after),
-    ):
+    for label, curve in (("before", fine_before), ("after", fine_after)):
         if np.isfinite(curve).any():
-            upper.append(broken_line(label, fine_time / unit.seconds, fine, columns))
-            lower.append(broken_line(label, time, each.measured - curve, columns))
-    x = Scale.around(time, fine_time / unit.seconds, margin=0.0)
-    values = (each.measured, fine_after, fine_before, *(each.band or ()))
-    rest = (each.measured - each.after, each.measured - each.before)
-    plots = (
-        Plot(f"{name}: measured and simulated over time", with_unit(key[1], quantity), x,
-             Scale.around(*values), upper, HEIGHT),
-        Plot(f"{name}: measured minus simulated over time", with_unit("residual", quantity), x,
-             Scale.around(*rest, np.zeros(1)), lower, RESIDUAL_HEIGHT),
-    )  # fmt: skip
-    return Chart(plots, f"time ({unit.name})", legend=False, across=5)
+            marks.append(broken_line(label, fine_time / seconds, curve, columns))
+    return marks
+
+
+def _residual(
+    name: str, each: OutputCurves, across: _Across, unit: str, noise: float, height: int
+) -> Plot:
+    """What is left of an output on a scale of its own, with lines at twice the noise."""
+    label, curve = (
+        ("after", each.after) if np.isfinite(each.after).any() else ("before", each.before)
+    )
+    rest = each.measured - curve
+    limits = [LIMITS_OF_NOISE * noise * sign for sign in (-1.0, 1.0)] if noise > 0.0 else []
+    upright = Scale.around(rest, np.zeros(1), np.array(limits))
+    marks: list[Mark] = [Rules("", "faint", y=(0.0, *limits))]
+    if np.isfinite(rest).any():
+        marks.append(broken_line(label, each.time / across.seconds, rest, across.columns))
+    title = f"{name}: measured minus simulated over time"
+    return Plot(title, with_unit(RESIDUAL, unit), across.x, upright, marks, height, called=RESIDUAL)
 
 
 def _band(time: FloatArray, band: tuple[FloatArray, FloatArray], columns: int) -> Band:
@@ -236,13 +342,12 @@ def _band(time: FloatArray, band: tuple[FloatArray, FloatArray], columns: int) -
 def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
     """Of a curve without times: how far each of its segments is from what was simulated."""
     segment = np.arange(len(each.residual), dtype=float)
-    marks = [broken_line("after", segment, each.residual, columns)]
     plot = Plot(
         f"{name}: distance of each segment",
         "distance, relative",
         Scale.around(segment, margin=0.0),
         Scale.around(each.residual, np.zeros(1)),
-        marks,
+        [broken_line("after", segment, each.residual, columns)],
         HEIGHT + RESIDUAL_HEIGHT,
     )
     return Chart((plot,), "segment", legend=False, across=5)
@@ -250,55 +355,24 @@ def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
 
 def broken_line(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
     """Return a line through samples, but not across gaps between them."""
-    gaps = long_steps(x)
-    behind = np.searchsorted(x, gaps[:, 1])
-    x, y = np.insert(x, behind, gaps.mean(axis=1)), np.insert(y, behind, np.nan)
+    x, (y,) = _broken(x, y)
+    return _line(name, x, y, columns)
+
+
+def _line(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
     kept = extremes(x, y, columns)
     return Line(name, name, x[kept], y[kept])
 
 
-def _span(time: FloatArray) -> float:
-    known = time[np.isfinite(time)]
-    return float(np.ptp(known)) if len(known) else 0.0
+def _broken(x: FloatArray, *ys: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+    """Put a sample without a value into each gap between samples."""
+    gaps = long_steps(x)
+    behind = np.searchsorted(x, gaps[:, 1])
+    return np.insert(x, behind, gaps.mean(axis=1)), [np.insert(y, behind, np.nan) for y in ys]
 
 
-def _curves(table: pa.Table, finer: pa.Table | None, predicted: pa.Table | None) -> OutputCurves:
-    """The rows of one output of one experiment as curves."""
-    time, measured, after, before, residual = (
-        _column(table, name)
-        for name in ("time", "measured", "simulated", "simulated_before", "residual")
-    )
-    fine = None
-    if finer is not None and finer.num_rows > len(time):
-        own, *both = (_column(finer, n) for n in ("time", "simulated", "simulated_before"))
-        if np.isfinite(both[0]).any():
-            fine = own, both[0], both[1]
-    band = None
-    if predicted is not None and predicted.num_rows == len(time):
-        band = _column(predicted, "lower"), _column(predicted, "upper")
-    return OutputCurves(time, measured, after, before, residual, fine, band)
-
-
-def _parts(table: pa.Table | None) -> dict[Key, pa.Table]:
-    """The rows of each output of each experiment, which stand behind each other in the table."""
-    if table is None or not {"experiment", "output"} <= set(table.column_names):
-        return {}
-    encoded = [
-        table[name].combine_chunks().dictionary_encode() for name in ("experiment", "output")
-    ]
-    codes = np.array([np.asarray(each.indices) for each in encoded])
-    changes = np.flatnonzero((codes[:, 1:] != codes[:, :-1]).any(axis=0)) + 1
-    found: dict[Key, pa.Table] = {}
-    for begin, end in pairwise([0, *changes.tolist(), table.num_rows]):
-        key = tuple(str(each[begin].as_py()) for each in encoded)
-        part = table.slice(begin, end - begin)
-        known = found.get((key[0], key[1]))
-        found[key[0], key[1]] = part if known is None else pa.concat_tables([known, part])
-    return found
-
-
-def _column(table: pa.Table, name: str) -> FloatArray:
-    """A column with NaN for what is not there."""
-    if name not in table.column_names:
-        return np.full(table.num_rows, np.nan)
-    return np.asarray(pc.cast(table[name], pa.float64()).to_numpy(), np.float64)
+def _without_lines(each: OutputCurves, unit: TimeUnit) -> OutputCurves:
+    """A record in a unit of time, with a sample without values in each gap."""
+    curves = each.measured, each.after, each.before
+    time, (measured, after, before) = _broken(each.time / unit.seconds, *curves)
+    return replace(each, time=time, measured=measured, after=after, before=before)

@@ -8,16 +8,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cluster_est.experiment_design.design_sentences import times
-from cluster_est.html_report.charts import Band, Chart, Line, Mark, Plot, Scale
+from cluster_est.html_report.charts import (
+    Band,
+    Chart,
+    Line,
+    Mark,
+    Plot,
+)
 from cluster_est.html_report.number_text import digits
 from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
+    TableLine,
     code,
     table,
+    with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 from cluster_est.problem.display import percent
 from workers.messages import FloatArray
 
@@ -33,44 +42,58 @@ OUTPUT_NOTE = (
 
 
 def design(run: ReportedRun) -> ReportSection:
-    """Everything that a design has found; nothing for other runs."""
-    rows = run.tables["next_input"]
-    blocks: list[Block] = []
-    if rows and run.is_design:
-        blocks = [*_inputs(rows), *_outputs(run), *_models(run), *_parameters(run)]
-        blocks += _predictions(run)
-    return ReportSection("design", "The next experiment", tuple(blocks))
+    """What a design is expected to do to rivals, parameters and predictions; else nothing."""
+    blocks = _tables(run)[1:] if run.is_design else []
+    return ReportSection("design", "What the experiment is expected to tell", tuple(blocks))
 
 
-def _inputs(rows: Sequence[Row]) -> list[Block]:
+def design_table(run: ReportedRun) -> list[Block]:
+    """The table that answers what the design is for, for the head of a page."""
+    return _tables(run)[:1]
+
+
+def _tables(run: ReportedRun) -> list[Block]:
+    """What the experiment does to models, predictions and parameters, what it is for first."""
+    return [*_models(run), *_rivals(run), *_predictions(run), *_parameters(run)]
+
+
+def design_pictures(run: ReportedRun) -> list[FigureBlock]:
+    """The input, and what each model predicts of it, for the head of a page."""
+    units = run.facts["design"].get("units") or {}
+    return [*_inputs(run.tables["next_input"], units), *_outputs(run.tables["expected"], units)]
+
+
+def _inputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:
     time = np.array([row["time"] for row in rows])
     plots = []
-    for name in rows[0]:
-        if name == "time" or rows[0][name] is None:
+    for name in rows[0] if rows else ():
+        if name == "time" or rows[0][name] is None or math.isnan(rows[0][name]):
             continue
         line = Line(name, "after", time, np.array([row[name] for row in rows]))
-        plots.append(Plot(name, name, Scale.around(time), Scale.around(line.y), [line], 170))
+        label = with_unit(name, units.get(name, ""))
+        plots.append(Plot(name, label, Scale.around(time), Scale.around(line.y), [line], 130))
     if not plots:
         return []
-    chart = Chart(tuple(plots), "time in s", legend=False)
+    chart = Chart(tuple(plots), "time (s)", legend=False, across=5)
     return [FigureBlock("next-input", "What is fed in", chart, INPUT_NOTE)]
 
 
-def _outputs(run: ReportedRun) -> list[Block]:
-    rows = run.tables["expected"]
+def _outputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:
     plots = []
     for output in dict.fromkeys(row["output"] for row in rows):
         models = _curves([row for row in rows if row["output"] == output])
         first, reference = next(iter(models.items()))
-        plots.append(_plot(output, models))
+        unit = units.get(output, "")
+        plots.append(_plot(with_unit(output, unit), models))
         if len(models) > 1:
             others = {
                 name: (time, expected - reference[1], error)
                 for name, (time, expected, error) in models.items()
                 if name != first and len(time) == len(reference[0])
             }
-            plots.append(_plot(f"{output}, less that of {first}", others, begin=1))
-    chart = Chart(tuple(plots), "time in s")
+            label = with_unit(f"{output} less that of {first}", unit)
+            plots.append(_plot(label, others, begin=1))
+    chart = Chart(tuple(plots), "time (s)", across=5)
     return [FigureBlock("expected", "What is expected", chart, OUTPUT_NOTE)] if plots else []
 
 
@@ -100,49 +123,49 @@ def _plot(label: str, models: Mapping[str, Curve], begin: int = 0) -> Plot:
 
 
 def _models(run: ReportedRun) -> list[Block]:
-    models, evidence = run.tables["probabilities"], run.tables["evidence"]
+    models = run.tables["probabilities"]
     if not models:
         return []
-    first = models[0]["model"]
+    lines: list[TableLine] = [
+        (
+            code(row["model"]),
+            *(
+                "" if math.isnan(row[key]) else percent(row[key])
+                for key in ("before", "after", "random", "recorded")
+            ),
+        )
+        for row in models
+    ]
+    names = ("if this is right", "#now", "#after it", "#a random input", "#a recorded one")
+    said = (
+        "The probability that each model is expected to have if it is the right one, among "
+        "itself and the rivals that some input tells from it"
+    )
+    return [table(names, lines, said)]
+
+
+def _rivals(run: ReportedRun) -> list[Block]:
+    evidence = run.tables["evidence"]
+    if not evidence:
+        return []
+    first = run.tables["probabilities"][0]["model"]
+    lines: list[TableLine] = [
+        (code(row["rival"]), *(times(row[key]) for key in ("evidence", "random", "best")))
+        for row in evidence
+        if row["true_model"] == first
+    ]
+    names = ("rival", "#after it", "#a random input", "#at best")
     return [
-        table(
-            ("if this is right", "#now", "#after it", "#a random input", "#a recorded one"),
-            [
-                (
-                    code(row["model"]),
-                    *(
-                        "" if math.isnan(row[key]) else percent(row[key])
-                        for key in ("before", "after", "random", "recorded")
-                    ),
-                )
-                for row in models
-            ],
-            "Expected probability of each model if it is the right one, among itself and the "
-            "rivals that some input can distinguish from it",
-        ),
-        table(
-            ("rival", "#after it", "#a random input", "#at best"),
-            [
-                (code(row["rival"]), *(times(row[key]) for key in ("evidence", "random", "best")))
-                for row in evidence
-                if row["true_model"] == first
-            ],
-            f"How many times less likely each rival will be, if {first} is right",
-        ),
+        table(names, lines, f"How many times less likely each rival will be, if {first} is right")
     ]
 
 
 def _parameters(run: ReportedRun) -> list[Block]:
-    return [
-        table(
-            ("parameter", "#value", "#standard error now", "#after it", "#a random input"),
-            [
-                (code(row["label"]), digits(row["value"]), *_errors(row))
-                for row in run.tables["precision"]
-            ],
-            "Expected effect of the experiment on the parameters",
-        )
-    ]
+    rows = run.tables["precision"]
+    names = ("parameter", "#value", "unit", "#standard error now", "#after it", "#a random input")
+    lines: list[TableLine]
+    lines = [(code(row["label"]), digits(row["value"]), row["unit"], *_errors(row)) for row in rows]
+    return [table(names, lines, "Expected effect of the experiment on the parameters")]
 
 
 def _errors(row: Row) -> list[str]:
@@ -156,8 +179,8 @@ def _predictions(run: ReportedRun) -> list[Block]:
         return []
     return [
         table(
-            ("predicted", "of", "#standard deviation now", "#after it", "#a random input"),
-            [(code(row["output"]), row["experiment"], *_errors(row)) for row in rows],
+            ("predicted", "of", "unit", "#standard deviation now", "#after it", "#a random input"),
+            [(code(r["output"]), r["experiment"], r["unit"], *_errors(r)) for r in rows],
             "Expected effect of the experiment on predictions: their uncertainty from the "
             "parameters, as a root mean square over the samples",
         )

@@ -17,7 +17,6 @@ from cluster_est.html_report.charts import (
     Line,
     Mark,
     Plot,
-    Scale,
 )
 from cluster_est.html_report.number_text import beside, digits, interval
 from cluster_est.html_report.page_blocks import (
@@ -35,6 +34,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from workers.messages import FloatArray
 
@@ -103,6 +103,36 @@ def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], Float
     return [*marks], np.concatenate([low, high])
 
 
+def _lead(run: ReportedRun) -> Row | None:
+    """The shape at the head of the page: the first one of the effects that were found."""
+    found = {effect["name"] for effect in run.facts.get("effects") or []}
+    drawn = (row for row in run.tables["shapes"] if row["effect"] in found and not row["why_not"])
+    return next(drawn, None)
+
+
+def lead_shape(run: ReportedRun) -> list[FigureBlock]:
+    """The picture of the effect that was found, for the head of a page."""
+    lead = _lead(run)
+    return [] if lead is None else [shape_figure(lead, 0)]
+
+
+def effect_words(run: ReportedRun) -> list[Block]:
+    """The equation of each effect that was found, and its values."""
+    blocks: list[Block] = []
+    for effect in run.facts.get("effects") or []:
+        blocks.append(TextBlock(effect["equation"], kind="equation"))
+        _, _, values = effect["sentence"].partition(effect["equation"])
+        values = values.lstrip(", ")
+        blocks.append(TextBlock(values[:1].upper() + values[1:] or effect["sentence"]))
+    return blocks
+
+
+def sure_words(run: ReportedRun) -> list[Block]:
+    """How probable what was found is among its rivals, and how often it is chosen again."""
+    said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
+    return [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
+
+
 COEFFICIENTS = ("coefficient", "#value", "#95 % interval", "unit", "")
 
 
@@ -138,23 +168,23 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         rows.append((code(name), *numbers, row["unit"], TableCell(said, "faint")))
     blocks: list[Block] = [
         TextBlock(f"{effect['name']}: {effect['words']} at {effect['site']}", kind="heading"),
-        TextBlock(effect["equation"], kind="equation"),
-        TextBlock(effect["sentence"]),
         table(COEFFICIENTS, rows),
     ]
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
-    blocks += _shapes(shapes)
+    blocks += _shapes(shapes, _lead(run))
     if not shapes:
         blocks.append(TextBlock("The folder of this run contains no shapes.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
 
 
-def _shapes(rows: Sequence[Row]) -> list[Block]:
-    """The shapes of one effect, or the reason why they are missing."""
-    blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
+def _shapes(rows: Sequence[Row], lead: Row | None = None) -> list[Block]:
+    """The shapes of one effect but that at the head, or the reason why they are missing."""
+    blocks: list[Block] = [
+        shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"] and row is not lead
+    ]
     missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
     return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]
 
@@ -212,8 +242,7 @@ def _compared(run: ReportedRun) -> list[Block]:
         "structure", "#gap closed", "#criterion", "#left out", "#held out", "#probability",
         "#chosen", "move", "",
     )  # fmt: skip
-    said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
-    blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
+    blocks: list[Block] = []
     rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
     if any(row["left_out"] == row["left_out"] for row in rows):
         blocks.append(TextBlock(LEFT_OUT))

@@ -10,7 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cluster_est.html_report.charts import Dots, Line, Mark, Rules, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Dots,
+    Line,
+    Mark,
+    Rules,
+    row_chart,
+)
 from cluster_est.html_report.number_text import count, digits, percent
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -18,12 +24,14 @@ from cluster_est.html_report.page_blocks import (
     ReportSection,
     TableBlock,
     TableCell,
+    TableLine,
     TextBlock,
     Tone,
     code,
     table,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 
 MOST_EXPERIMENT_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""
@@ -56,6 +64,30 @@ class ErrorSizes:
         """Root mean square over the samples of some rows; NaN where one of them failed."""
         name = f"{'normalised' if self.is_noise else 'relative'}_{when}"
         return _pooled([self.rows[i] for i in chosen], name, [self.divisors[i] for i in chosen])
+
+    def noise(self, row: int) -> float:
+        """The noise of a row's output in its unit; NaN where it is not known."""
+        own, size = self.rows[row], self.of([row], "after")
+        return own["rmse_after"] / size if self.is_noise and size > 0.0 else math.nan
+
+    def words(self, size: float) -> str:
+        """A size of an error in words: "1.02 times the noise"."""
+        return (
+            f"{digits(size, 3)} times the noise"
+            if self.is_noise
+            else f"{percent(size)} of the signal"
+        )
+
+    def said(self, chosen: Sequence[int]) -> str:
+        """The error of some rows, in the unit of their output, and over its measure."""
+        size = self.of(chosen, "after")
+        own = [self.rows[i] for i in chosen]
+        if math.isnan(size):
+            return ""
+        if len({row["output"] for row in own}) > 1:
+            return f"error {self.words(size)}"
+        unit = f" {own[0]['unit']}" if own[0]["unit"] else ""
+        return f"error {digits(_pooled(own, 'rmse_after'), 3)}{unit}, {self.words(size)}"
 
     def of_role(self, role: str) -> list[int]:
         """The rows of training or of held-out experiments."""
@@ -175,43 +207,71 @@ MOST_UNFOLDED_ROWS = 24
 """Rows of the table by experiment that are not folded."""
 
 
+MOST_OUTPUT_ROWS = 6
+"""Rows of the table by output: the largest errors."""
+
+
+def error_table(run: ReportedRun) -> list[Block]:
+    """The error of each output over all experiments, in its unit and over its measure."""
+    sizes = error_sizes(run)
+    outputs: dict[tuple[str, str], list[int]] = {}
+    for i, row in enumerate(sizes.rows):
+        outputs.setdefault((row["output"], row["role"]), []).append(i)
+    groups = [
+        chosen for chosen in outputs.values() if any(sizes.rows[i]["samples"] for i in chosen)
+    ]
+    kept = sorted(groups, key=lambda chosen: -_or_largest(sizes.of(chosen, "after")))
+    kept = kept[:MOST_OUTPUT_ROWS]
+    lines = [_output_line(sizes, chosen) for chosen in groups if chosen in kept]
+    over = ("#over noise",) if sizes.is_noise else ()
+    names = ("error of", "", "#before", "#after", "unit", *over, "#of signal")
+    left = len(groups) - len(kept)
+    more = [TextBlock(f"{left} smaller ones: see Errors.", "faint")]
+    return [table(names, lines), *(more if left else [])] if lines else []
+
+
+def _or_largest(size: float) -> float:
+    """Take an error that is not known for the largest: its simulation failed."""
+    return math.inf if math.isnan(size) else size
+
+
+def _output_line(sizes: ErrorSizes, chosen: Sequence[int]) -> TableLine:
+    rows = [sizes.rows[i] for i in chosen]
+    before, after = (_pooled(rows, f"rmse_{when}") for when in ("before", "after"))
+    over = (digits(sizes.of(chosen, "after"), 3),) if sizes.is_noise else ()
+    role = TableCell(ROLES.get(str(rows[0]["role"]), ""), "faint")
+    now = TableCell("failed", "bad") if math.isnan(after) else TableCell(digits(after, 3))
+    share = percent(_pooled(rows, "relative_after"))
+    return code(rows[0]["output"]), role, digits(before, 3), now, rows[0]["unit"], *over, share
+
+
 def errors(run: ReportedRun) -> ReportSection:
-    """A table by output, and one by output and experiment."""
+    """A picture of the errors beside the noise, and a table by output and experiment."""
     rows = run.tables["errors"]
     if not rows:
         return ReportSection("errors", "Errors", ())
-    blocks: list[Block] = [
-        TextBlock(
-            f'Root mean square of measured minus simulated. Before: {run.before}. "Of the '
-            'signal": the error after, as a share of the standard deviation of the measured '
-            "signal."
-        )
-    ]
-    outputs = list(dict.fromkeys((row["output"], row["role"]) for row in rows))
-    if len(rows) > len(outputs):
-        own = [[r for r in rows if (r["output"], r["role"]) == key] for key in outputs]
-        blocks.append(_table("By output, over all experiments", own, pooled=True))
+    said = (
+        f"Root mean square of measured minus simulated. Before: {run.before}. Of the signal: "
+        "the error after as a share of the measured signal's standard deviation."
+    )
     folded = len(rows) > MOST_UNFOLDED_ROWS
-    blocks.append(_table("By experiment", [[row] for row in rows], folded=folded))
+    picture = error_picture(run)
+    blocks: list[Block] = [] if picture is None else [picture]
+    blocks += [TextBlock(said), _table(rows, folded=folded)]
     return ReportSection("errors", "Errors before and after", tuple(blocks))
 
 
-def _table(
-    caption: str, groups: Sequence[Sequence[Row]], *, pooled: bool = False, folded: bool = False
-) -> TableBlock:
-    first = "#experiments" if pooled else "experiment"
+def _table(rows: Sequence[Row], *, folded: bool) -> TableBlock:
     sizes = "#before", "#after", "unit", "#change", "#of the signal", "#samples"
     lines = []
-    for group in groups:
-        before, after = (_pooled(group, f"rmse_{when}") for when in ("before", "after"))
-        who = str(len(group)) if pooled else str(group[0]["experiment"])
-        of = code(group[0]["output"]), TableCell(ROLES.get(str(group[0]["role"]), ""), "faint")
-        samples = sum(row["samples"] for row in group)
-        change = _change(before, after) if samples else TableCell("")
-        share = percent(_pooled(group, "relative_after"))
-        errors = digits(before), digits(after), group[0]["unit"]
-        lines.append((*of, who, *errors, change, share, count(samples)))
-    return table(("output", "", first, *sizes), lines, caption, folded=folded)
+    for row in rows:
+        before, after = row["rmse_before"], row["rmse_after"]
+        of = code(row["output"]), TableCell(ROLES.get(str(row["role"]), ""), "faint")
+        change = _change(before, after) if row["samples"] else TableCell("")
+        share, samples = percent(row["relative_after"]), count(row["samples"])
+        who = str(row["experiment"])
+        lines.append((*of, who, digits(before), digits(after), row["unit"], change, share, samples))
+    return table(("output", "", "experiment", *sizes), lines, "By experiment", folded=folded)
 
 
 def _pooled(rows: Sequence[Row], name: str, divisors: Sequence[float] = ()) -> float:

@@ -54,11 +54,11 @@ def count(value: float) -> str:
     return f"{value:,.0f}".replace(",", "\u202f")
 
 
-def percent(share: float | None) -> str:
-    """A share as per cent."""
+def percent(share: float | None, count: int = 3) -> str:
+    """A share as per cent, to so many significant digits."""
     if share is None or math.isnan(share):
         return NO_NUMBER
-    return f"{digits(100.0 * share, 3 if abs(share) < 10.0 else 4)}\u2009%"
+    return f"{digits(100.0 * share, count if abs(share) < 10.0 else 4)}\u2009%"
 
 
 def duration(seconds: float) -> str:

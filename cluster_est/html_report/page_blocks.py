@@ -38,11 +38,16 @@ class ReportColumn:
 
 @dataclass(frozen=True)
 class TableCell:
-    """`code` is set in a fixed width, for names of the FMU and equations."""
+    """`code` is set in a fixed width, for names of the FMU and equations.
+
+    `more` stands below it, and `link` is where a click on it leads.
+    """
 
     text: str
     tone: Tone = ""
     code: bool = False
+    more: str = ""
+    link: str = ""
 
 
 TableLine = tuple[str | TableCell, ...]
@@ -71,6 +76,22 @@ class FigureBlock:
 
 
 @dataclass(frozen=True)
+class GridBlock:
+    """Small figures beside each other."""
+
+    figures: tuple[FigureBlock, ...]
+    kind: str = "grid"
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What to do next, with the command that does it."""
+
+    text: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
 class CurvePanel:
     """The curves of one output of one experiment.
 
@@ -81,16 +102,13 @@ class CurvePanel:
     note
         What stands behind these names: the role of the experiment and its errors.
     chart
-        What was measured and simulated, and the residuals below.
-    first
-        Whether it is the one that a reader sees first, in large.
+        What was fed in, measured and simulated, and the residuals below.
     """
 
     experiment: str
     output: str
     note: str
     chart: Chart = field(repr=False)
-    first: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,7 +156,16 @@ class SourceBlock:
     kind: str = "source"
 
 
-Block = TextBlock | ItemsBlock | TableBlock | FigureBlock | PanelsBlock | MapBlock | SourceBlock
+Block = (
+    TextBlock
+    | ItemsBlock
+    | TableBlock
+    | FigureBlock
+    | GridBlock
+    | PanelsBlock
+    | MapBlock
+    | SourceBlock
+)
 
 
 @dataclass(frozen=True)

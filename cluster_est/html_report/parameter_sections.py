@@ -7,7 +7,13 @@ from collections import defaultdict
 
 import numpy as np
 
-from cluster_est.html_report.charts import Chart, Dots, Line, Plot, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Chart,
+    Dots,
+    Line,
+    Plot,
+    row_chart,
+)
 from cluster_est.html_report.number_text import MINUS, beside, compact, digits, interval, percent
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -23,6 +29,8 @@ from cluster_est.html_report.page_blocks import (
     table,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
+from cluster_est.html_report.search_sections import profiles
 from workers.messages import FloatArray
 
 MOST_IN_MAP = 60
@@ -36,9 +44,9 @@ def parameters(run: ReportedRun) -> ReportSection:
     rows = run.tables["parameters"]
     if not rows:
         return ReportSection("parameters", "Parameters", ())
-    blocks: list[Block] = [TextBlock(text, "bad") for text in run.residual_sentences]
-    blocks.append(_table(run, rows))
-    blocks += _intervals(run) + _constraints(run) + _directions(run) + _correlations(run)
+    blocks: list[Block] = [_table(run, rows)]
+    blocks += [*_directions(run), *_correlations(run), *profiles(run)]
+    blocks += [*_intervals(run), *_constraints(run)]
     return ReportSection("parameters", "Parameters", tuple(blocks))
 
 
@@ -57,7 +65,7 @@ def _table(run: ReportedRun, rows: tuple[Row, ...]) -> TableBlock:
             then = [digits(row["start"])]
         lines.append(
             (
-                code(row["label"]),
+                TableCell(row["label"], code=True, more=row.get("description") or ""),
                 *then,
                 beside(row["value"], width),
                 _interval(row),
@@ -190,16 +198,16 @@ TIME_NOTE = "Where a curve is high, that part of a record contains information a
 
 
 def sensitivity(run: ReportedRun) -> ReportSection:
-    """Everything that a sensitivity analysis has found; nothing for other runs."""
+    """The parameters that matter over time; nothing for other runs than a sensitivity analysis."""
     rows = run.tables["ranking"]
     found = run.facts.get("sensitivity") or {}
-    blocks: list[Block] = []
-    if rows and found:
-        blocks = [*_ranking(rows, found["ranks"]), _order(rows), *_over_time(run, found["ranks"])]
+    blocks = _over_time(run, found["ranks"]) if rows and found else []
     return ReportSection("sensitivity", "What matters, and when", tuple(blocks))
 
 
-def _ranking(rows: tuple[Row, ...], ranks: str) -> list[Block]:
+def ranking_picture(run: ReportedRun) -> list[FigureBlock]:
+    """What a sensitivity analysis ranks, with its intervals, for the head of a page."""
+    rows, ranks = run.tables["ranking"], run.facts["sensitivity"]["ranks"]
     known = [row for row in rows if math.isfinite(row["value"])][:MOST_RANKED]
     if not known:
         return []
@@ -219,17 +227,17 @@ def _ranking(rows: tuple[Row, ...], ranks: str) -> list[Block]:
     return [FigureBlock("ranking", title, chart, RANKING_NOTE)]
 
 
-def _order(rows: tuple[Row, ...]) -> Block:
-    """The table of the order of estimation."""
+def order_of_estimation(run: ReportedRun) -> list[Block]:
+    """The table of the order of estimation, for the head of a page."""
+    rows = run.tables["ranking"]
     ordered = sorted(rows, key=lambda row: (row["position"] < 0, row["position"]))
-    return table(
-        ("parameter", "#seen, in sigmas", "#collinearity", "estimate together"),
-        [
-            (code(row["label"]), digits(row["size"]), _index(row["collinearity"]), _together(row))
-            for row in ordered
-        ],
-        "The best order of estimation, from derivatives at the start values",
-    )
+    lines = [
+        (code(row["label"]), digits(row["size"]), _index(row["collinearity"]), _together(row))
+        for row in ordered
+    ]
+    names = ("parameter", "#seen, in sigmas", "#collinearity", "estimate together")
+    said = "The best order of estimation, from derivatives at the start values"
+    return [table(names, lines, said)] if lines else []
 
 
 def _over_time(run: ReportedRun, ranks: str) -> list[Block]:

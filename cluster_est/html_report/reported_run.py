@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from cluster_est.html_report.activity import LogActivity, read_activity
+from cluster_est.html_report.recorded_curves import Key, OutputCurves, recorded_curves
 from cluster_est.run_folder.run_files import (
     RunStatus,
     is_ended,
@@ -26,6 +29,8 @@ SMALL_TABLES = (
     "shapes", "ranking", "indices", "probabilities", "evidence", "precision",
     "prediction_precision", "next_input", "expected",
 )  # fmt: skip
+NO_ACTIVITY = LogActivity(0, (), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
+WIDE_TABLES = ("residuals", "trajectories", "predictions", "inputs")
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,8 @@ class ReportedRun:
     tables
         The rows of each small table, by its name; a table that is not there has none. "progress"
         has the lines of all searches in the order in which they came.
-    residuals, trajectories, predictions
-        None if they are not there.
+    wide
+        residuals, trajectories, predictions and inputs; None for what is not there.
     activity
         What the log says of workers and failures.
     """
@@ -53,10 +58,13 @@ class ReportedRun:
     facts: Mapping[str, Any] = field(repr=False)
     config: str = field(repr=False)
     tables: Mapping[str, tuple[Row, ...]] = field(repr=False)
-    residuals: pa.Table | None = field(repr=False)
-    trajectories: pa.Table | None = field(repr=False)
+    wide: Mapping[str, pa.Table | None] = field(repr=False)
     activity: LogActivity = field(repr=False)
-    predictions: pa.Table | None = field(default=None, repr=False)
+
+    @cached_property
+    def curves(self) -> dict[Key, OutputCurves]:
+        """What was measured and simulated, by experiment and output."""
+        return recorded_curves(self.wide)
 
     @property
     def status(self) -> str:
@@ -87,16 +95,27 @@ class ReportedRun:
         return self.facts.get("verdict") is not None
 
     @property
+    def simulated(self) -> tuple[int, int]:
+        """Simulations and failures by the log, or by run.json where the run has no log."""
+        if self.activity.simulations:
+            return self.activity.simulations, sum(e.count for e in self.activity.failures)
+        return int(self.facts.get("simulations") or 0), int(self.facts.get("failures") or 0)
+
+    @property
+    def kind(self) -> str:
+        """The word for it at the head of the page."""
+        if self.is_design:
+            return "Design"
+        if self.is_sensitivity:
+            return "Sensitivity analysis"
+        return "Closed loop" if self.is_loop else "Fit" if self.finished else "Run"
+
+    @property
     def too_narrow(self) -> bool:
         """True where the residuals of a fit deny its intervals, or a loop says what they lack."""
         if self.is_loop:
             return bool(self.facts["verdict"] == "unexplained")
         return bool((self.facts.get("residuals") or {}).get("too_narrow"))
-
-    @property
-    def residual_sentences(self) -> tuple[str, ...]:
-        """Return what the residuals of a fit say of its model, sigma and intervals."""
-        return tuple((self.facts.get("residuals") or {}).get("sentences") or ())
 
     @property
     def before(self) -> str:
@@ -129,11 +148,23 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
         facts=facts,
         config=config,
         tables=tables,
-        residuals=_table(path / "residuals.parquet") if curves else None,
-        trajectories=_table(path / "trajectories.parquet") if curves else None,
+        wide={name: _table(path / f"{name}.parquet") if curves else None for name in WIDE_TABLES},
         activity=activity or read_activity(path / "evaluations", ended=is_ended(facts)),
-        predictions=_table(path / "predictions.parquet") if curves else None,
     )
+
+
+def read_results(path: Path) -> ReportedRun:
+    """Read what a run has found, without its curves, its searches and its log.
+
+    Raises
+    ------
+    RunFolderError
+        If it is no run folder, or damaged.
+    """
+    stored = read_stored_run(path, ("parameters", "errors"))
+    tables = {name: tuple(stored.tables.get(name, ())) for name in (*SMALL_TABLES, "progress")}
+    wide = dict.fromkeys(WIDE_TABLES)
+    return ReportedRun(path.resolve().name, stored.facts, "", tables, wide, NO_ACTIVITY)
 
 
 def _table(path: Path) -> pa.Table | None:

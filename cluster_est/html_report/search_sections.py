@@ -11,11 +11,20 @@ import numpy as np
 
 from cluster_est.closed_loop.settings import stage_title
 from cluster_est.html_report.activity import busy_shares, without_breaks
-from cluster_est.html_report.charts import Cells, Chart, Dots, Line, Plot, Rules, Scale, row_chart
+from cluster_est.html_report.charts import (
+    Cells,
+    Chart,
+    Dots,
+    Line,
+    Plot,
+    Rules,
+    row_chart,
+)
 from cluster_est.html_report.number_text import count, digits, duration, percent, time_unit
 from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
+    GridBlock,
     ReportSection,
     SourceBlock,
     TableCell,
@@ -23,15 +32,19 @@ from cluster_est.html_report.page_blocks import (
     TextBlock,
     code,
     table,
+    with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.scales import Scale
 
 MOST_DRAWN_SEARCHES = 40
 """Searches that are drawn: the best ones."""
-AFTERWARDS = ("derivatives", "profile", "bootstrap")
+AFTERWARDS = ("derivatives", "profile", "bootstrap", "records")
 """How the names of searches begin that look around a solution."""
 MOST_DRAWN_COSTS = 3000
 SMALL_MULTIPLES = 12
+LEAST_SPREAD = 0.01
+"""Share of the cost that a plot of several minima spans at least."""
 FEW_POINTS, MOST_LEGEND_ENTRIES, SERIES = 60, 12, 8
 MOST_SETS = 20
 LEAST_CLOSED = -25.0
@@ -39,6 +52,10 @@ LEAST_CLOSED = -25.0
 STEPS_NOTE = (
     "The number is the step of the search. At 100 %, nothing but noise is left; below 0 %, a set "
     "fits worse than the declared model."
+)
+PROFILE_NOTE = (
+    "The least cost with one parameter held at a value, above the least of all. Steep sides mean "
+    "that the data determine it. The dashed lines are the ends of its interval."
 )
 PATH_NOTE = (
     "A good search falls steeply and then becomes flat; a search that still falls at its "
@@ -50,8 +67,28 @@ def search(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
     if run.is_sensitivity or run.is_design:  # which searches nothing
         return ReportSection("search", "How the search went", ())
-    blocks = [*_steps(run), *_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
+    said = [TextBlock(" ".join(costs))] if (costs := _costs(run)) else []
+    blocks = [*said, *_steps(run), *_convergence(run), *_starts(run), *_front(run)]
     return ReportSection("search", "How the search went", tuple(blocks))
+
+
+def _costs(run: ReportedRun) -> list[str]:
+    """Say how the search ended and what became of the cost."""
+    message = "" if run.is_loop else run.facts.get("message") or ""
+    ended = [f"The search ended: {message}."] if message and run.finished else []
+    before, after = run.facts.get("cost_before"), run.facts.get("cost")
+    if before is None or after is None:
+        if run.finished:
+            ended.append("The cost is not known before and after, because a simulation failed.")
+        return ended
+    what = "with the declared model, fitted," if run.is_loop else "at the start values"
+    said = f"The cost was {digits(before)} {what} and is {digits(after)}"
+    if after and before and abs(after / before - 1.0) > 5e-3:
+        larger, smaller = max(after, before), min(after, before)
+        said += (
+            f": a factor of {digits(larger / smaller, 3)} {'lower' if after < before else 'higher'}"
+        )
+    return [*ended, f"{said}."]
 
 
 def _steps(run: ReportedRun) -> list[Block]:
@@ -175,7 +212,11 @@ def _starts(run: ReportedRun) -> list[Block]:
     blocks: list[Block] = []
     if marks:
         title = f"Waterfall of {len(rows)} starts"
-        chart = Chart((_plot(title, "cost", marks),), "starts, the best first")
+        costs = np.array([row["cost"] for row in ended], float)
+        across = Scale.around(np.array([1.0, len(ended)]))
+        upright = Scale.around(costs, may_be_log=True, least=LEAST_SPREAD)
+        plot = Plot(title, "cost", across, upright, marks, 200)
+        chart = Chart((plot,), "starts, the best first")
         note = "A flat step at the left is one minimum that many starts have reached."
         blocks.append(FigureBlock("waterfall", title, chart, note))
     return [*blocks, *_minima(run, rows)]
@@ -196,15 +237,18 @@ def _minima(run: ReportedRun, starts: Sequence[Row]) -> list[Block]:
     return [table(names, lines, "Minima that were reached")] if lines else []
 
 
-def _profiles(run: ReportedRun) -> list[Block]:
+def profiles(run: ReportedRun) -> list[Block]:
+    """The rise of the cost with each parameter held beside its estimate."""
     rows = [row for row in run.tables["profiles"] if row["unknown"] == row["label"]]
     labels = list(dict.fromkeys(row["label"] for row in rows))
     ends = {r["label"]: r for r in run.tables["intervals"] if r["source"] == "profile"}
-    blocks: list[Block] = []
+    units = {row["label"]: row["unit"] for row in run.tables["parameters"]}
+    figures: list[FigureBlock] = []
     for number, label in enumerate(labels[:SMALL_MULTIPLES]):
         own = sorted((r for r in rows if r["label"] == label), key=lambda r: r["value"])
         x = np.array([r["value"] for r in own], float)
         y = np.array([r["cost"] for r in own], float)
+        y -= np.nanmin(y)
         found = ends.get(label, {"lower": None, "upper": None})
         known = [e for e in (found["lower"], found["upper"]) if e is not None and math.isfinite(e)]
         marks = [
@@ -213,11 +257,20 @@ def _profiles(run: ReportedRun) -> list[Block]:
             Dots("", "after", x, y),
         ]
         title = f"Profile of {label}"
-        plot = Plot(title, "cost", Scale.around(x), Scale.around(y), marks, 170)
-        blocks.append(FigureBlock(f"profile-{number}", title, Chart((plot,), label, legend=False)))
-    if len(labels) > SMALL_MULTIPLES:
-        blocks.append(TextBlock(f"{SMALL_MULTIPLES} of {len(labels)} profiles are drawn.", "faint"))
-    return blocks
+        plot = Plot(title, "rise of the cost", Scale.around(x), Scale.around(y), marks, 130)
+        below = with_unit(label, units.get(label, ""))
+        chart = Chart((plot,), below, legend=False, across=3)
+        figures.append(FigureBlock(f"profile-{number}", title, chart))
+    if not figures:
+        return []
+    shown = (
+        f" Of {len(labels)} profiles, {len(figures)} are drawn." if labels[len(figures) :] else ""
+    )
+    return [
+        TextBlock("Profiles", kind="heading"),
+        GridBlock(tuple(figures)),
+        TextBlock(f"{PROFILE_NOTE}{shown}", "faint"),
+    ]
 
 
 def _front(run: ReportedRun) -> list[Block]:
@@ -236,14 +289,31 @@ ACTIVITY_BINS, MOST_WORKERS = 160, 64
 
 def workers(run: ReportedRun) -> ReportSection:
     """A time line, a table of workers, and failures by their reasons."""
-    blocks = [*_failures(run), *_time_line(run), *_table(run)]
+    blocks = [*_work(run), *_failures(run), *_time_line(run), *_table(run)]
     return ReportSection("workers", "Workers and failures", tuple(blocks))
+
+
+def _work(run: ReportedRun) -> list[Block]:
+    """How many simulations the run took, and how long."""
+    simulations, failures = run.simulated
+    if not simulations:
+        return []
+    failed = f"{count(failures)} failed" if failures else "none failed"
+    if failures and failures == run.facts.get("failures_in_search"):
+        failed += ", all of them while effects were tried"
+    said = f"{count(simulations)} simulations, {failed}"
+    if run.facts.get("seconds") is not None:
+        workers = len(run.tables["workers"]) or 1
+        said += (
+            f"; {duration(run.facts['seconds'])} with {workers} worker{'s' if workers > 1 else ''}"
+        )
+    return [TextBlock(f"{said}.")]
 
 
 def _failures(run: ReportedRun) -> list[Block]:
     found = run.activity.failures
     if not found:
-        return [TextBlock("No simulation failed.")] if run.activity.simulations else []
+        return []
     names = ("#times", "status", "reason", "experiments", "#first ID")
     rows = tuple(
         (

@@ -1,42 +1,103 @@
-"""The report of a sweep: its runs beside each other, from its summary table."""
+"""The report of a sweep: its runs beside each other, the best first, linked to their reports."""
 
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 
-from cluster_est.html_report.charts import Dots, Mark, Scale, row_chart
+from cluster_est.errors import RunFolderError
+from cluster_est.html_report.charts import (
+    Dots,
+    Line,
+    Mark,
+    Rules,
+    row_chart,
+)
+from cluster_est.html_report.error_sections import error_sizes, error_table
+from cluster_est.html_report.first_screen import parameter_table
+from cluster_est.html_report.headline import summarise
 from cluster_est.html_report.number_text import count, digits, duration
-from cluster_est.html_report.page import rendered, write_page
+from cluster_est.html_report.page import REPORT, rendered, write_page, write_report
 from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
+    GridBlock,
     ReportSection,
     TableCell,
     TableLine,
-    TextBlock,
     Tone,
     code,
     table,
+    with_unit,
 )
-from cluster_est.html_report.reported_run import Row
+from cluster_est.html_report.reported_run import ReportedRun, Row, read_results
+from cluster_est.html_report.scales import Scale
 from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
-PAGE = "report.html"
 PARAMETER = "parameter "
 """Begins the names of the columns of shared estimates."""
 MOST_DRAWN = 60
 """Runs of a picture: the best ones."""
+LEAST_SPAN = 0.1
+"""Share of the largest estimate that a scale spans where there are no intervals."""
 COLUMNS_OF_EVERY_SWEEP = (
     "run", "config", "status", "message", "doubts", "cost_before", "cost", "rmse_train",
     "rmse_test", "iterations", "evaluations", "simulations", "failures", "seconds", "seed",
-    "started",
+    "started", "verdict", "effects", "together",
 )  # fmt: skip
-"""Columns that every sweep has; the others are its axes and its parameters."""
+"""Columns that do not depend on the sweep; the others are its axes and its parameters."""
+Role = str
+
+
+@dataclass(frozen=True)
+class ListedRun:
+    """A run of a sweep: its row of the summary, and what its folder holds, if that is there.
+
+    `link` leads from the page to the run's own report; "" without one.
+    """
+
+    row: Row
+    found: ReportedRun | None = field(default=None, repr=False)
+    link: str = ""
+
+    @property
+    def name(self) -> str:
+        return str(self.row["run"])
+
+    @property
+    def worth(self) -> RunWorth:
+        return run_worth(self.row["status"], self.row["doubts"])
+
+    def error(self, role: Role) -> float:
+        """The error over the noise; over sigma where the folder does not tell the noise."""
+        sizes = None if self.found is None else error_sizes(self.found)
+        if sizes is not None and sizes.is_noise and sizes.rows:
+            return sizes.of(sizes.of_role(role), "after")
+        return self.value(f"rmse_{role}")
+
+    @property
+    def over_noise(self) -> bool:
+        return self.found is not None and error_sizes(self.found).is_noise
+
+    def value(self, column: str) -> float:
+        """A number of the summary; NaN where it is not there."""
+        found = self.row.get(column)
+        return math.nan if found is None else float(found)
+
+    def estimate(self, label: str) -> tuple[float, float, float, str]:
+        """The estimate of a shared parameter, the ends of its interval, and its unit."""
+        rows = () if self.found is None else self.found.tables["parameters"]
+        for row in rows:
+            if row["label"] == label:
+                return row["value"], row["lower95"], row["upper95"], row["unit"]
+        return self.value(f"{PARAMETER}{label}"), math.nan, math.nan, ""
 
 
 def is_sweep(folder: Path) -> bool:
@@ -45,7 +106,7 @@ def is_sweep(folder: Path) -> bool:
 
 
 def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
-    """Write the report of a sweep, in one step.
+    """Write the report of a sweep in one step, and before that those of its runs that have none.
 
     Parameters
     ----------
@@ -59,151 +120,236 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     RunFolderError
         If its summary is damaged, or the file cannot be written.
     """
-    path = folder / PAGE if out is None else out
-    rows = read_run_table(folder / SWEEP_SUMMARY_FILE)
-    states = Counter(row["status"] for row in rows)
-    done = states["done"]
-    worths = Counter(_worth(row) for row in rows)
-    doubtful = worths[RunWorth.DOUBTFUL]
-    tone: Tone = "good" if worths[RunWorth.GOOD] == len(rows) else "bad" if not done else ""
-    title = f"{count(done)} of {count(len(rows))} runs reached a solution"
-    if doubtful:
-        of = "all" if doubtful == done else count(doubtful)
-        title += f"; {of} of these {'is' if of == '1' else 'are'} doubtful"
-    sections = (errors(rows), _estimates(rows), _runs(rows))
+    path = folder / REPORT if out is None else out
+    runs = [_listed(folder, row, path) for row in read_run_table(folder / SWEEP_SUMMARY_FILE)]
+    ranked = _ranked(runs)
+    best = ranked[0] if ranked else None
+    title, tone = _headline(runs, best)
+    words: list[Block] = []
+    if best is not None and best.found is not None:
+        words = [*parameter_table(best.found), *error_table(best.found)]
+    sections = (_estimates(ranked), _runs(runs))
     page = rendered(
         "sweep.html",
         name=folder.resolve().name,
         title=title,
         tone=tone,
-        sentences=_sentences(rows, states),
+        sentences=_sentences(runs, ranked),
+        words=words,
+        best="" if best is None else best.link,
+        pictures=errors(ranked),
         sections=[section for section in sections if section.blocks],
     )
     write_page(path, page)
     return path
 
 
-def _sentences(rows: Sequence[Row], states: Counter[str]) -> list[str]:
+def read_sweep_runs(folder: Path) -> list[ListedRun]:
+    """Return the runs of a sweep that have an error, the best first."""
+    rows = read_run_table(folder / SWEEP_SUMMARY_FILE)
+    return _ranked([ListedRun(row, _found(folder / str(row["run"]))) for row in rows])
+
+
+def _found(folder: Path) -> ReportedRun | None:
+    try:
+        return read_results(folder)
+    except RunFolderError:  # it has not run yet, or is damaged: its row is shown all the same
+        return None
+
+
+def _listed(folder: Path, row: Row, page: Path) -> ListedRun:
+    """A run with what its folder holds, and a report of its own."""
+    own = folder / str(row["run"])
+    found = _found(own)
+    if found is None:
+        return ListedRun(row)
+    report = own / REPORT
+    try:
+        if not report.is_file() or report.stat().st_mtime < (own / "run.json").stat().st_mtime:
+            write_report(own)
+        relative = Path(os.path.relpath(report, page.absolute().parent)).as_posix()
+    except (RunFolderError, ValueError):  # a table is damaged, or it is on another drive
+        return ListedRun(row, found)
+    return ListedRun(row, found, quote(relative))
+
+
+def _ranked(runs: Sequence[ListedRun]) -> list[ListedRun]:
+    """Runs with an error, the best first: by the held-out one, then those without, by training."""
+    ended = [run for run in runs if math.isfinite(run.error("train"))]
+    return sorted(ended, key=lambda run: (_or_last(run.error("test")), run.error("train")))
+
+
+def _or_last(error: float) -> float:
+    return error if math.isfinite(error) else math.inf
+
+
+def _headline(runs: Sequence[ListedRun], best: ListedRun | None) -> tuple[str, Tone]:
+    """The best run and how good it is; green if its own report is."""
+    done = sum(run.row["status"] == "done" for run in runs)
+    if best is None:
+        said = f"{count(done)} of {count(len(runs))} runs reached a solution"
+        return said, "" if done else "bad"
+    said = f"Best of {count(len(runs))} runs: {best.name}"
+    if best.found is not None:
+        summary = summarise(best.found)
+        return f"{said}. {summary.verdict}", summary.tone
+    held_out = best.error("test")
+    also = "" if math.isnan(held_out) else f", held out {digits(held_out, 3)}"
+    return f"{said}: error {digits(best.error('train'), 3)} over sigma{also}", best.worth.value
+
+
+def _sentences(runs: Sequence[ListedRun], ranked: Sequence[ListedRun]) -> list[str]:
+    states = Counter(str(run.row["status"]) for run in runs)
+    done = states["done"]
+    doubtful = sum(run.worth is RunWorth.DOUBTFUL for run in runs)
+    said = f"{count(done)} of {count(len(runs))} runs reached a solution"
+    if doubtful:
+        of = "all" if doubtful == done else count(doubtful)
+        said += f"; {of} of these {'is' if of == '1' else 'are'} doubtful"
     others = [f"{count(n)} {state}" for state, n in states.items() if state != "done"]
-    found = [f"Of the others: {', '.join(others)}."] if others else []
-    for name, words in (("rmse_test", "held-out"), ("rmse_train", "training")):
-        best = min(
-            (r for r in rows if _known(r, name)), key=lambda r: _value(r, name), default=None
-        )
-        if best is not None:
-            size = digits(best[name], 3)
-            found.append(f"The least {words} error, {size} over sigma, is that of {best['run']}.")
-    return found
+    found = [f"{said}.", *([f"Of the others: {', '.join(others)}."] if others else [])]
+    return [*found, *_agreement(ranked)]
 
 
-def _worth(row: Row) -> RunWorth:
-    return run_worth(row["status"], row["doubts"])
+def _agreement(ranked: Sequence[ListedRun]) -> list[str]:
+    """Say whether the 95 % intervals of all runs have a value in common."""
+    apart, known = [], 0
+    for label in _labels(ranked):
+        ends = np.array([run.estimate(label)[1:3] for run in ranked])
+        ends = ends[np.isfinite(ends).all(axis=1)]
+        if len(ends) > 1:
+            known += 1
+            if ends[:, 0].max() > ends[:, 1].min():
+                apart.append(label)
+    if not known:
+        return []
+    if not apart:
+        return ["The runs agree: the 95 % intervals of each estimate overlap."]
+    named = ", ".join(apart[:5]) + (", …" if len(apart) > 5 else "")
+    return [f"The runs disagree by more than their 95 % intervals on {named}."]
 
 
-def _value(row: Row, name: str) -> float:
-    found = row.get(name)
-    return math.nan if found is None else float(found)
+def _labels(runs: Sequence[ListedRun]) -> list[str]:
+    """Names of the shared parameters."""
+    names = runs[0].row if runs else ()
+    return [name.removeprefix(PARAMETER) for name in names if name.startswith(PARAMETER)]
 
 
-def _known(row: Row, name: str) -> bool:
-    return math.isfinite(_value(row, name))
-
-
-def _ranked(rows: Sequence[Row]) -> list[Row]:
-    """Runs with an error, the best first: by the held-out one where each of them has it."""
-    ended = [row for row in rows if _known(row, "rmse_train")]
-    name = "rmse_test" if all(_known(row, "rmse_test") for row in ended) else "rmse_train"
-    return sorted(ended, key=lambda row: _value(row, name))
-
-
-def errors(rows: Sequence[Row]) -> ReportSection:
+def errors(ranked: Sequence[ListedRun]) -> list[FigureBlock]:
     """Training and held-out errors of the runs in one picture."""
-    drawn = _ranked(rows)[:MOST_DRAWN]
+    drawn = ranked[:MOST_DRAWN]
     if not drawn:
-        return ReportSection("errors", "Errors", ())
+        return []
     place = np.arange(len(drawn), dtype=float)
-    sizes = {n: np.array([_value(r, n) for r in drawn]) for n in ("rmse_train", "rmse_test")}
+    sizes = {role: np.array([run.error(role) for run in drawn]) for role in ("train", "test")}
     marks: list[Mark] = [
-        Dots(name, ink, sizes[column], place)
-        for column, name, ink in (
-            ("rmse_train", "training", "after"),
-            ("rmse_test", "held out", "before"),
-        )
-        if np.isfinite(sizes[column]).any()
+        Dots(name, ink, sizes[role], place)
+        for role, name, ink in (("train", "training", "after"), ("test", "held out", "before"))
+        if np.isfinite(sizes[role]).any()
     ]
-    across = Scale.around(*sizes.values(), may_be_log=True)
-    title = "Errors of the runs, the best first"
-    figure = _by_run("errors-of-runs", title, "error over sigma", across, marks, drawn)
-    return ReportSection("errors", "Errors", (figure, *_left_out(rows, drawn)))
+    over_noise = all(run.over_noise for run in drawn)
+    if over_noise:
+        marks.insert(0, Rules("noise", "measured", x=(1.0,)))
+    known = [*sizes.values(), np.ones(1)] if over_noise else [*sizes.values()]
+    across = Scale.around(*known, may_be_log=True)
+    if not across.log:  # from 0 on, so that small differences look small
+        across = Scale.around(*known, np.zeros(1))
+    shown = "" if len(drawn) == len(ranked) else f", {len(drawn)} of {count(len(ranked))}"
+    title = f"Errors of the runs, the best first{shown}"
+    below = "error over the noise" if over_noise else "error over sigma"
+    return [_by_run("errors-of-runs", title, below, across, marks, drawn)]
 
 
 def _by_run(
-    name: str, title: str, below: str, across: Scale, marks: Sequence[Mark], drawn: Sequence[Row]
-) -> FigureBlock:
+    name: str, title: str, below: str, across: Scale, marks: Sequence[Mark],
+    drawn: Sequence[ListedRun], *, ticks: int = 8,
+) -> FigureBlock:  # fmt: skip
     """A picture with a row for each run."""
     axes = _axes(drawn)
-    choices = [", ".join(str(row[axis]) for axis in axes if row[axis]) for row in drawn]
-    names = [own or row["run"] for own, row in zip(choices, drawn, strict=True)]
-    chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1)
+    choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in drawn]
+    names = [own or run.name for own, run in zip(choices, drawn, strict=True)]
+    chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1, ticks=ticks)
     return FigureBlock(name, title, chart)
 
 
-def _axes(rows: Sequence[Row]) -> list[str]:
+def _axes(runs: Sequence[ListedRun]) -> list[str]:
     """The names of the sweep's axes."""
-    names = rows[0] if rows else ()
     return [
         name
-        for name in names
+        for name in (runs[0].row if runs else ())
         if name not in COLUMNS_OF_EVERY_SWEEP and not name.startswith(PARAMETER)
     ]
 
 
-def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> list[Block]:
-    left = len(rows) - len(drawn)
-    said = f"{count(left)} of {count(len(rows))} runs are not drawn; the table has all of them."
-    return [TextBlock(said, "faint")] if left else []
-
-
-def _estimates(rows: Sequence[Row]) -> ReportSection:
-    """The shared estimates of the runs, a picture for each parameter."""
-    drawn = _ranked(rows)[:MOST_DRAWN]
-    names = [name for name in (rows[0] if rows else ()) if name.startswith(PARAMETER)]
+def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
+    """The shared estimates of the runs with their intervals, a picture for each parameter."""
+    drawn = ranked[:MOST_DRAWN]
     place = np.arange(len(drawn), dtype=float)
     figures = []
-    for number, name in enumerate(names):
-        values = np.array([_value(row, name) for row in drawn])
-        if np.isfinite(values).any():
-            label = name.removeprefix(PARAMETER)
-            marks = [Dots(label, "after", values, place)]
-            across = Scale.around(values)
-            title = f"Estimates of {label}"
-            figures.append(_by_run(f"estimates-{number}", title, label, across, marks, drawn))
-    return ReportSection("estimates", "Estimates", tuple(figures))
+    for number, label in enumerate(_labels(drawn)):
+        found = [run.estimate(label) for run in drawn]
+        value, low, high = np.array([each[:3] for each in found], float).T
+        if not np.isfinite(value).any():
+            continue
+        known = bool((np.isfinite(low) & np.isfinite(high)).any())
+        gap = np.full(len(place), np.nan)
+        bars = Line(
+            "95 % interval",
+            "faint",
+            np.column_stack([low, high, gap]).ravel(),
+            np.column_stack([place, place, gap]).ravel(),
+        )
+        across = Scale.around(value, low, high, least=0.0 if known else LEAST_SPAN)
+        title = f"Estimates of {label}"
+        below = with_unit(label, next((unit for *_, unit in found if unit), ""))
+        marks = [*([bars] if known else []), Dots(label, "after", value, place)]
+        name = f"estimates-{number}"
+        figures.append(_by_run(name, title, below, across, marks, drawn, ticks=2))
+    blocks = (GridBlock(tuple(figures)),) if figures else ()
+    return ReportSection("estimates", "Estimates", blocks)
 
 
-def _runs(rows: Sequence[Row]) -> ReportSection:
+def _runs(runs: Sequence[ListedRun]) -> ReportSection:
     """The summary table as people read it."""
-    axes = _axes(rows)
-    names = ("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
+    axes = _axes(runs)
+    loops = [name for name in ("verdict", "effects", "together") if _has(runs, name)]
+    over = "noise" if all(run.over_noise for run in _ranked(runs)) else "sigma"
+    names = (
+        "run", *axes, "", *loops, f"#training, over {over}", "#held out", "#cost", "#simulations",
+        "#time",
+    )  # fmt: skip
     lines: list[TableLine] = [
         (
-            code(row["run"]),
-            *(str(row[axis]) for axis in axes),
-            TableCell("; ".join(filter(None, (row["status"], row["doubts"]))), _worth(row).value),
-            digits(_value(row, "rmse_train")),
-            digits(_value(row, "rmse_test")),
-            digits(_value(row, "cost")),
-            count(_value(row, "simulations")) if _known(row, "simulations") else "",
-            duration(_value(row, "seconds")) if _known(row, "seconds") else "",
+            TableCell(run.name, code=True, link=run.link),
+            *(str(run.row[axis]) for axis in axes),
+            TableCell("; ".join(filter(None, (run.row["status"], run.row["doubts"]))),
+                      run.worth.value),
+            *(str(run.row[name] or "") for name in loops),
+            digits(run.error("train"), 3),
+            digits(run.error("test"), 3),
+            digits(run.value("cost")),
+            _written(run, "simulations"),
+            _written(run, "seconds"),
         )
-        for row in rows
-    ]
+        for run in runs
+    ]  # fmt: skip
     reasons = tuple(
-        (code(row["run"]), row["status"], row["message"])
-        for row in rows
-        if row["status"] != "done" and row["message"]
+        (code(run.name), run.row["status"], run.row["message"])
+        for run in runs
+        if run.row["status"] != "done" and run.row["message"]
     )
     blocks: list[Block] = [table(names, lines)] if lines else []
     if reasons:
         blocks.append(table(("run", "", "why"), reasons, "Reasons of failed runs"))
     return ReportSection("runs", "Runs", tuple(blocks))
+
+
+def _has(runs: Sequence[ListedRun], column: str) -> bool:
+    return any(run.row.get(column) for run in runs)
+
+
+def _written(run: ListedRun, column: str) -> str:
+    value = run.value(column)
+    if math.isnan(value):
+        return ""
+    return duration(value) if column == "seconds" else count(value)

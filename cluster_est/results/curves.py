@@ -67,6 +67,26 @@ def _compared(output: Output, outcome: Outcome | None) -> FloatArray:
     return np.full(len(output.times), np.nan) if found is None else found
 
 
+def input_table(problem: Problem) -> pa.Table:
+    """What drove each experiment: the samples of each input, as they were given."""
+    columns: dict[str, list[Any]] = defaultdict(list)
+    variables = problem.describe().variables
+    for experiment in problem.experiments:
+        for given in experiment.inputs:
+            count = len(given.times)
+            for name, text in (
+                ("experiment", experiment.id),
+                ("input", given.variable),
+                ("unit", variables[given.variable].unit),
+                ("interpolation", given.interpolation),
+            ):
+                columns[name].append(np.full(count, text))
+            columns["time"].append(given.times)
+            columns["value"].append(given.values)
+    names = ["experiment", "input", "unit", "interpolation", "time", "value"]
+    return pa.table({name: _joined(columns[name]) for name in names})
+
+
 def posterior_table(posterior: PosteriorResult) -> pa.Table:
     """Each unknown in each draw: nearly independent draws, where the chains have mixed."""
     values, densities, _ = posterior.thinned

@@ -17,6 +17,7 @@ from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.results.criteria import InformationCriteria, information_criteria
 from cluster_est.results.curves import (
+    input_table,
     posterior_table,
     prediction_table,
     residual_table,
@@ -205,6 +206,8 @@ class Result(ResultView):
     def tables(self) -> tuple[str, ...]:
         optional = (name for name, rows in self.optional_rows().items() if rows)
         wide = [name for name in ("shapes", "posterior", "predictions") if getattr(self, name)]
+        if any(experiment.inputs for experiment in self.problem.experiments):
+            wide.insert(0, "inputs")
         return ("parameters", "errors", "residuals", "trajectories", *wide, *optional)
 
     @property
@@ -230,6 +233,8 @@ class Result(ResultView):
             return residual_table(self.problem, self.simulations, self.before)
         if name == "trajectories":
             return trajectory_table(self.problem, self.simulations, self.before)
+        if name == "inputs" and name in self.tables:
+            return input_table(self.problem)
         if name == "shapes" and self.shapes:
             return curve_table(self.shapes)
         if name == "posterior" and self.posterior:

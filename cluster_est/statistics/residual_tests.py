@@ -53,6 +53,17 @@ class Autocorrelation:
     lags: int = 0
 
 
+def lagged_products(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return the sums of r_t r_{t+k} for each lag k from 0 on, over parts that are kept apart."""
+    sums = np.zeros(max(map(len, parts), default=0))
+    for part in parts:
+        padded = next_fast_len(2 * len(part), real=True)
+        spectrum = rfft(part, padded)
+        power = spectrum.real**2 + spectrum.imag**2
+        sums[: len(part)] += irfft(power, padded)[: len(part)]
+    return sums
+
+
 def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> Autocorrelation:
     """Autocorrelation rho_k = sum r_t r_{t+k} / sum r_t^2 of the residuals in some records.
 
@@ -69,14 +80,7 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
     records
         Records that are pooled.
     """
-    covariances = np.zeros(max((len(record.times) for record in records), default=0))
-    for record in records:
-        count = len(record.times)
-        if count:
-            padded = next_fast_len(2 * count, real=True)
-            spectrum = rfft(residuals[record.rows], padded)
-            power = spectrum.real**2 + spectrum.imag**2
-            covariances[:count] += irfft(power, padded)[:count]
+    covariances = lagged_products([residuals[r.rows] for r in records if len(r.times)])
     if len(covariances) < 2 or covariances[0] <= 0.0:
         return Autocorrelation(0.0, 1.0, 1.0)
     rho = covariances[1:] / covariances[0]

@@ -44,16 +44,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from docs.svg import RECORD_STYLE, Axes, document, legend, record, text
 
 from cluster_est.html_report.charts import Chart
-from cluster_est.html_report.curve_section import curves
-from cluster_est.html_report.design_section import design
-from cluster_est.html_report.effect_sections import effects
+from cluster_est.html_report.curve_section import RecordCharts, lead_figures
+from cluster_est.html_report.design_section import design_pictures
+from cluster_est.html_report.effect_sections import lead_shape
 from cluster_est.html_report.error_sections import error_picture
-from cluster_est.html_report.page_blocks import FigureBlock, PanelsBlock, ReportSection
-from cluster_est.html_report.parameter_sections import sensitivity
+from cluster_est.html_report.page_blocks import FigureBlock
+from cluster_est.html_report.parameter_sections import ranking_picture
 from cluster_est.html_report.reported_run import ReportedRun, read_run
 from cluster_est.html_report.search_sections import search
-from cluster_est.html_report.sweep_page import errors, is_sweep
-from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, read_run_table
+from cluster_est.html_report.sweep_page import errors, is_sweep, read_sweep_runs
 from workers.messages import FloatArray
 
 DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"
@@ -101,30 +100,25 @@ def is_loop(run: Path) -> bool:
 def pictures(folder: Path) -> Iterator[tuple[str, str]]:
     """The name and the text of each picture of a run."""
     if is_sweep(folder):
-        figure = first_figure(errors(read_run_table(folder / SWEEP_SUMMARY_FILE)))
+        (figure,) = errors(read_sweep_runs(folder))
         yield "sweep_errors", drawn(figure.title, figure.chart)
         return
     run = read_run(folder)
     if run.is_sensitivity:
-        figure = first_figure(sensitivity(run))
+        (figure,) = ranking_picture(run)
         yield "sensitivity_ranking", drawn(figure.title, figure.chart)
     elif run.is_design:
         yield "next_experiment", of_design(run)
     elif run.is_loop:
         yield from of_closed_loop(run)
     else:
-        yield "first_fit", first_panel(run)
+        yield "first_fit", last_lead(run)
 
 
 def of_design(run: ReportedRun) -> str:
     """The input, and what each model predicts of it, in one picture."""
-    plots = [
-        plot
-        for block in design(run).blocks
-        if isinstance(block, FigureBlock)
-        for plot in block.chart.plots
-    ]
-    return drawn("The next experiment", Chart(tuple(plots), "time in s"))
+    plots = [plot for figure in design_pictures(run) for plot in figure.chart.plots]
+    return drawn("The next experiment", Chart(tuple(plots), "time (s)"))
 
 
 def of_closed_loop(run: ReportedRun) -> Iterator[tuple[str, str]]:
@@ -132,22 +126,16 @@ def of_closed_loop(run: ReportedRun) -> Iterator[tuple[str, str]]:
     found = error_picture(run)
     if found is not None:
         yield "report_errors", drawn(found.title, found.chart)
-    yield "report_curves", first_panel(run)
-    for name, section in (("shape", effects(run)), ("search", search(run))):
-        figure = first_figure(section)
+    yield "report_curves", last_lead(run)
+    in_search = (block for block in search(run).blocks if isinstance(block, FigureBlock))
+    for name, figure in (("shape", lead_shape(run)[0]), ("search", next(in_search))):
         yield f"report_{name}", drawn(figure.title, figure.chart)
 
 
-def first_panel(run: ReportedRun) -> str:
-    """The curves of the experiment that a report opens on."""
-    panels = next(block for block in curves(run).blocks if isinstance(block, PanelsBlock)).panels
-    panel = next(panel for panel in panels if panel.first)
-    return drawn(f"{panel.experiment}, {panel.output}: {panel.note}", panel.chart)
-
-
-def first_figure(section: ReportSection) -> FigureBlock:
-    """The first chart of a section."""
-    return next(block for block in section.blocks if isinstance(block, FigureBlock))
+def last_lead(run: ReportedRun) -> str:
+    """The curves of the held-out experiment at the head of a report, or of the training one."""
+    *_, figure = lead_figures(RecordCharts(run))
+    return drawn(figure.title, figure.chart)
 
 
 def drawn(title: str, chart: Chart) -> str:

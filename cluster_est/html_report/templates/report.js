@@ -1,8 +1,8 @@
 // Shows values under the pointer, zooms and enlarges; everything is drawn already, and nothing is fetched.
 "use strict";
-(() => {
+const charts = (() => {
   const UNITS = 10000; // places across a plot and up a plot, as in its paths
-  const points = new WeakMap();
+  const points = new WeakMap(), drawn = new WeakMap();
 
   // ---- scales: whole[0] is the value at the low end of a plot as drawn, whole[1] at its high end
 
@@ -36,8 +36,9 @@
     if (points.has(path)) return points.get(path);
     const found = [];
     for (const part of path.getAttribute("d").split("M").slice(1)) {
-      const numbers = (part.match(/-?\d+/g) || []).map(Number);
+      let numbers = (part.match(/-?\d+/g) || []).map(Number);
       if (part.includes("h")) numbers.length = 2;
+      if (part.includes("H")) numbers = [(numbers[0] + numbers[2]) / 2, numbers[1]]; // the top of a bar
       let x = 0, y = 0;
       for (let i = 0; i + 1 < numbers.length; i += 2) found.push([(x += numbers[i]), UNITS - (y += numbers[i + 1])]);
     }
@@ -48,6 +49,64 @@
     let best = null;
     for (const each of pointsOf(path)) if (!best || Math.abs(each[0] - place) < Math.abs(best[0] - place)) best = each;
     return best;
+  }
+
+  // ---- every sample of a record, for those who zoom in: unpacked once
+
+  const records = new Map([...document.querySelectorAll("data.record")].map((each) => [each.dataset.name, each]));
+  const unpacked = new Map();
+
+  function samplesOf(chart) {
+    const record = records.get(chart.dataset.record);
+    if (!record || unpacked.has(record)) return unpacked.get(record);
+    const names = record.dataset.curves.split(" "), begin = +record.dataset.begin, step = +record.dataset.step;
+    const numbers = new Float32Array(Uint8Array.from(atob(record.value), (sign) => sign.charCodeAt(0)).buffer);
+    const count = numbers.length / names.length, found = { time: new Float64Array(count) };
+    names.forEach((name, i) => (found[name] = numbers.subarray(i * count, (i + 1) * count)));
+    for (let i = 0, at = begin; i < count; i += 1) found.time[i] = step ? begin + i * step : (at += found.step[i]);
+    unpacked.set(record, found);
+    return found;
+  }
+  // The values of a curve in a plot, as a function of the number of a sample.
+  function valuesOf(samples, plot, name) {
+    if (!samples || !samples[name] || name === "time" || name === "step") return null;
+    return plot.dataset.called ? (i) => samples.measured[i] - samples[name][i] : (i) => samples[name][i];
+  }
+  // Draw what lies between two values of x: each sample, or the extremes of each column where they are many.
+  function detail(path, samples, value, x, y, [low, high], columns) {
+    const { time } = samples, count = time.length, kept = [], found = [];
+    let first = 0, last = count - 1;
+    while (first < count - 1 && time[first + 1] < low) first += 1;
+    while (last > 0 && time[last - 1] > high) last -= 1;
+    const many = last - first > 2 * columns;
+    for (let i = first; i <= last; ) {
+      let end = i + 1, least = i, most = i;
+      const column = Math.floor(((time[i] - low) / (high - low)) * columns);
+      while (many && end <= last && Math.floor(((time[end] - low) / (high - low)) * columns) === column) {
+        if (!(value(least) <= value(end))) least = end;
+        if (!(value(most) >= value(end))) most = end;
+        end += 1;
+      }
+      kept.push(Math.min(least, most));
+      if (least !== most) kept.push(Math.max(least, most));
+      i = end;
+    }
+    let text = "", pen = "M";
+    for (const i of kept) {
+      if (!Number.isFinite(value(i))) { pen = "M"; continue; }
+      const at = (UNITS * (time[i] - x.low)) / (x.high - x.low), up = (UNITS * (value(i) - y.low)) / (y.high - y.low);
+      found.push([at, up]);
+      text += `${pen}${at.toFixed(3)} ${(UNITS - up).toFixed(3)}`;
+      pen = "L";
+    }
+    if (!drawn.has(path)) drawn.set(path, path.getAttribute("d"));
+    path.setAttribute("d", text);
+    points.set(path, found);
+  }
+  function asDrawn(path) {
+    if (!drawn.has(path)) return;
+    path.setAttribute("d", drawn.get(path));
+    points.delete(path);
   }
   const read = (plot) => [...plot.querySelectorAll("path[data-name]")].filter((path) => getComputedStyle(path).display !== "none");
 
@@ -95,7 +154,7 @@
           const point = nearest(path, at);
           if (!point || point[0] < view[0] - 1 || point[0] > view[1] + 1) continue;
           const ink = [...path.classList].slice(1).join(" ");
-          const name = (path.dataset.name || "") + (each !== plots[0] && plots.length > 1 ? ", residual" : "");
+          const name = (path.dataset.name || "") + (each.dataset.called ? ", " + each.dataset.called : "");
           if (path.dataset.name) rows.push(entry(name, ink, shown(valueAt(y, point[1]), Math.abs(y.high - y.low))));
           if (found === null || Math.abs(point[0] - at) < Math.abs(found - at)) found = point[0];
         }
@@ -146,8 +205,14 @@
       view = next;
       const whole = view[0] === 0 && view[1] === UNITS;
       chart.dataset.view = whole ? "" : `${valueAt(x, view[0])} ${valueAt(x, view[1])}`;
+      const samples = whole ? null : samplesOf(chart);
       plots.forEach((plot, number) => {
         const svg = plot.querySelector("svg"), y = scaleOf(plot.dataset.y);
+        for (const path of plot.querySelectorAll("path[data-name]")) {
+          const value = valuesOf(samples, plot, path.dataset.name);
+          if (value) detail(path, samples, value, x, y, view.map((each) => valueAt(x, each)), plot.clientWidth);
+          else asDrawn(path);
+        }
         const [low, high] = whole ? [0, UNITS] : heights(plot);
         svg.setAttribute("viewBox", `${view[0]} ${UNITS - high} ${view[1] - view[0]} ${high - low}`);
         const grid = plot.querySelector(".grid");
@@ -205,16 +270,15 @@
 
   function size(panel, wide) {
     panel.classList.toggle("wide", wide);
-    panel.querySelector("button").textContent = wide ? "smaller" : "larger";
+    panel.querySelector("button.size").textContent = wide ? "smaller" : "larger";
     for (const plot of panel.querySelectorAll(".plot")) {
       plot.dataset.height ??= plot.style.height;
       plot.style.height = parseFloat(plot.dataset.height) * (wide ? 1.7 : 1) + "px";
     }
   }
   for (const panel of panels) {
-    const button = panel.querySelector("button");
+    const button = panel.querySelector("button.size");
     button.hidden = false;
-    size(panel, panel.classList.contains("wide"));
     button.addEventListener("click", () => size(panel, !panel.classList.contains("wide")));
   }
   if (form) {
@@ -233,4 +297,6 @@
   if (document.body.dataset.reload) {
     setTimeout(() => location.reload(), 1000 * Number(document.body.dataset.reload));
   }
+  return { pointsOf, samplesOf, scaleOf, valueAt };
 })();
+

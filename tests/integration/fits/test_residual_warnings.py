@@ -95,6 +95,6 @@ def test_command_run_json_and_report_say_it(tmp_path, capsys):
     assert f"note: {sentence}" in printed
     assert HEADER in printed
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "its intervals are too narrow" in page
+    assert "Its intervals are too narrow" in page
     assert HEADER in page
     assert "error is " in page

@@ -34,14 +34,22 @@ def change(path: Path, table: str, column: str, value: object, row: int = 0) -> 
 
 
 def test_the_verdict_comes_first_and_what_follows_is_in_order(page):
-    order = ["The fit reached a solution", "parameter values of", "The error fell from",
-             "The cost fell", "Error before and after, over", "Errors before and after",
-             "Parameters", "How the search went", "Workers and failures"]  # fmt: skip
+    order = ["Fitted to the noise: error 0.0", "parameter values of", "The error fell from",
+             "± (95 %)", "over noise", "What next", "The worst training record: e",
+             "The held-out record: e2", "What to know", "Correlations", "Error before and after",
+             "Before: start values.", "Autocorrelation", "The search ended: converged. The cost",
+             "simulations, none failed"]  # fmt: skip
     places = [page.text.index(each) for each in order]
     assert places == sorted(places)
     assert sections(page) == [
-        "errors", "curves", "parameters", "search", "workers", "provenance"
-    ]  # fmt: skip
+        "parameters",
+        "errors",
+        "curves",
+        "residuals",
+        "search",
+        "workers",
+        "provenance",
+    ]
 
 
 def test_the_same_folder_gives_the_same_page(run, tmp_path):

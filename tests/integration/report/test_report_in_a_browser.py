@@ -1,6 +1,9 @@
 from itertools import pairwise
+from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.reported import chromium
@@ -51,13 +54,13 @@ def opened(browser, run):
 @pytest.fixture
 def page(opened):
     found = opened(viewport={"width": 1440, "height": 900})
-    found.locator(".panel.wide").scroll_into_view_if_needed()
+    found.locator("#worst").scroll_into_view_if_needed()
     return found
 
 
 def view(page):
     """The times between which the large chart shows its curves; none where it shows all."""
-    text = page.locator(".panel.wide .chart").get_attribute("data-view")
+    text = page.locator("#worst .chart").get_attribute("data-view")
     return [float(number) for number in (text or "").split()]
 
 
@@ -86,7 +89,7 @@ def test_what_is_written_beside_the_plots_does_not_overlap(page):
 
 @pytest.mark.slow
 def test_dragging_zooms_and_a_double_click_shows_all_again(page, run):
-    plot = page.locator(".panel.wide .plot").first
+    plot = page.locator("#worst .plot").nth(1)
     whole = plot.locator("svg").get_attribute("viewBox")
     box = plot.bounding_box()
     x, y, width, height = box["x"], box["y"], box["width"], box["height"]
@@ -99,7 +102,7 @@ def test_dragging_zooms_and_a_double_click_shows_all_again(page, run):
     end = float(pq.read_table(run / "trajectories.parquet").to_pandas().time.max())
     assert low == pytest.approx(0.3 * end, abs=0.02 * end)
     assert high == pytest.approx(0.6 * end, abs=0.02 * end)
-    texts = page.locator(".panel.wide .x-axis span").all_text_contents()
+    texts = page.locator("#worst .x-axis span").all_text_contents()
     assert all(low <= float(text) <= high for text in texts)
     assert len(texts) >= 3
     page.mouse.dblclick(x + 0.5 * width, y + 0.5 * height)
@@ -109,31 +112,32 @@ def test_dragging_zooms_and_a_double_click_shows_all_again(page, run):
 
 @pytest.mark.slow
 def test_values_are_shown_under_the_pointer(page, run):
-    name = page.locator(".panel.wide").get_attribute("data-experiment")
+    caption = page.locator("#worst figcaption").text_content()
+    name = caption.partition(": ")[2].partition(",")[0]
     table = pq.read_table(run / "residuals.parquet").to_pandas()
     own = table[table.experiment == name]
-    box = page.locator(".panel.wide .plot").first.bounding_box()
+    box = page.locator("#worst .plot").nth(1).bounding_box()
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    lines = page.locator(".panel.wide .tip div").all_text_contents()
-    assert len(lines) == 6  # the time, three curves and two residuals
+    lines = page.locator("#worst .tip div").all_text_contents()
+    assert len(lines) == 6  # the time, the input, three curves and what is left
     shown = {line.rsplit(" ", 1)[0]: line.rsplit(" ", 1)[1] for line in lines}
     measured = float(shown["measured"].replace("\u2212", "-"))
     middle = 0.5 * (own.time.min() + own.time.max())
     row = own.iloc[(own.time - middle).abs().argmin()]
     assert measured == pytest.approx(row.measured, abs=5e-3 * np.ptp(own.measured))
     page.mouse.move(5, 5)
-    assert page.locator(".panel.wide .tip").is_hidden()
+    assert page.locator("#worst .tip").is_hidden()
 
 
 @pytest.mark.slow
 def test_curves_are_toggled(page):
-    assert (visible(page, "before"), visible(page, "after")) == (6, 6)
+    assert (visible(page, "before"), visible(page, "after")) == (3, 6)
     page.locator("input[name=before]").uncheck()
     assert (visible(page, "before"), visible(page, "after")) == (0, 6)
     page.locator("input[name=after]").uncheck()
     assert (visible(page, "before"), visible(page, "after")) == (0, 0)
     page.locator("input[name=before]").check()
-    assert (visible(page, "before"), visible(page, "after")) == (6, 0)
+    assert (visible(page, "before"), visible(page, "after")) == (3, 0)
 
 
 @pytest.mark.slow
@@ -151,15 +155,15 @@ def test_another_experiment_is_shown_in_large(page):
 
 @pytest.mark.slow
 def test_a_small_chart_is_enlarged_and_made_small_again(page):
-    small = page.locator(".panel:not(.wide)").first
+    small = page.locator(".panel").first
     name = small.get_attribute("data-experiment")
     panel = page.locator(f".panel[data-experiment={name}]")
     before = panel.bounding_box()
-    panel.locator("button").click()
+    panel.locator("button.size").click()
     after = panel.bounding_box()
     assert after["width"] > 2 * before["width"]
     assert after["height"] > before["height"]
-    panel.locator("button").click()
+    panel.locator("button.size").click()
     assert panel.bounding_box()["width"] == pytest.approx(before["width"])
 
 
@@ -181,7 +185,88 @@ def test_it_is_whole_without_scripts(opened):
     page = opened(java_script_enabled=False)
     assert page.locator(".panel path.after").count() == 6
     assert all(path.is_visible() for path in page.locator(".panel path.after").all())
+    assert page.locator("button").count() == 3  # those that make a panel larger
     assert page.locator(".panel button").first.is_hidden()
+
+
+def test_the_first_screen_has_the_answer(page):
+    """Its words, the parameters and both pictures begin on it, on a laptop's screen."""
+    page.evaluate("scrollTo(0, 0)")
+    for name in ("h1", ".summary", ".answer table >> nth=0", ".answer table >> nth=1", ".next"):
+        box = page.locator(name).bounding_box()
+        assert box["y"] + box["height"] < 900
+    for name in ("#worst", "#held-out"):
+        box = page.locator(f"{name} .plot").last.bounding_box()
+        assert box["y"] + box["height"] < 900
+
+
+def saved(page, figure, kind, path):
+    """Save a picture of the page."""
+    page.locator(figure).hover()
+    with page.expect_download() as download:
+        page.locator(f"{figure} .tools button", has_text=kind).click()
+    download.value.save_as(path)
+    return download.value.suggested_filename
+
+
+@pytest.mark.slow
+def test_each_picture_is_saved_as_a_drawing_as_pixels_and_as_numbers(page, run, tmp_path):
+    for kind in ("SVG", "PNG", "CSV"):
+        assert saved(page, "#worst", kind, tmp_path / kind) == f"worst.{kind.lower()}"
+    drawing = ElementTree.parse(tmp_path / "SVG").getroot()
+    words = [each.text for each in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    assert "time (s)" in words
+    assert {"measured", "before", "after"} <= set(words)
+    plots = drawing.findall("{http://www.w3.org/2000/svg}svg")
+    assert len(plots) == 3
+    assert all(plot.findall("{http://www.w3.org/2000/svg}path") for plot in plots)
+    assert (tmp_path / "PNG").read_bytes().startswith(b"\x89PNG")
+    table = pd.read_csv(tmp_path / "CSV")
+    caption = page.locator("#worst figcaption").text_content()
+    name = caption.partition(": ")[2].partition(",")[0]
+    every = pq.read_table(run / "residuals.parquet").to_pandas()
+    own = every[every.experiment == name]
+    shown = table[(table.curve == "measured")].sort_values("time (s)")
+    span = np.ptp(own.measured)
+    assert shown.value.to_numpy() == pytest.approx(own.measured.to_numpy(), abs=1e-3 * span)
+
+
+@pytest.mark.slow
+def test_zooming_in_draws_every_sample_of_a_long_record(browser, copied, tmp_path):
+    times = np.arange(20_000) * 1e-3
+    measured = np.random.default_rng(0).normal(size=len(times))
+    columns = {"experiment": "long", "role": "train", "output": "y"}
+    columns = {key: np.full(len(times), text) for key, text in columns.items()}
+    columns |= {"time": times, "measured": measured, "simulated": np.zeros(len(times))}
+    columns |= {"residual": measured, "simulated_before": np.ones(len(times))}
+    pq.write_table(pa.table(columns), copied / "residuals.parquet")
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.goto(write_report(copied).as_uri())
+    plot = page.locator("#worst .plot").first
+    path = plot.locator("path.measured")
+    whole, box = path.get_attribute("d"), plot.bounding_box()
+    page.mouse.move(box["x"] + 0.50 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.53 * box["width"], box["y"] + 60, steps=4)
+    page.mouse.up()
+    low, high = view(page)
+    inside = int(((times >= low) & (times <= high)).sum())
+    assert 400 < inside < 800
+    assert abs(path.get_attribute("d").count("L") + 1 - inside) <= 3
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 30)
+    lines = page.locator("#worst .tip div").all_text_contents()
+    at = float(lines[0].rsplit(" ", 1)[1])
+    near = measured[np.abs(times - at) < 2e-3]
+    shown = dict(line.rsplit(" ", 1) for line in lines)
+    value = float(shown["measured"].replace("\u2212", "-"))
+    assert np.abs(near - value).min() < 0.02
+    assert shown["after, residual"] == shown["measured"]
+    page.mouse.dblclick(box["x"] + 0.5 * box["width"], box["y"] + 20)
+    assert path.get_attribute("d") == whole
+    saved(page, "#worst", "CSV", tmp_path / "all.csv")
+    table = pd.read_csv(tmp_path / "all.csv")
+    assert table["measured"].to_numpy() == pytest.approx(measured, rel=1e-6)
+    page.close()
 
 
 @pytest.mark.slow

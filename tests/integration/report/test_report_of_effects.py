@@ -49,7 +49,7 @@ def fitted(closed: Path, name: str, effect: str) -> Path:
 def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(
     closed, figures, text, shape
 ):
-    for said in ("The missing effects were found", "der(v) += -k * tanh(v / width)", "Candidates"):
+    for said in ("Found: Coulomb friction at der(v)", "What the model lacked", "Candidates"):
         assert said in text
     x, y, low, high = (np.array(shape[name]) for name in ("x", "y", "lower", "upper"))
     assert (shape["part"], shape["variable"], shape["variable_unit"]) == ("der(v)", "v", "m/s")
@@ -68,6 +68,17 @@ def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(
     assert up[np.abs(across) > 5.0 * WIDTH] == pytest.approx(
         drawn[np.abs(across) > 5.0 * WIDTH], abs=2.0 * figure.plots[0].grain(figure.plots[0].y)
     )
+
+
+def test_its_equation_picture_and_coefficients_stand_on_the_first_screen(closed, figures, text):
+    head = text.partition("What to know")[0].partition("Parameters Errors before")[0]
+    assert text.count("der(v) += -k * tanh(v / width) With k = 0.60") == 1
+    assert "der(v) += -k * tanh(v / width) With k = 0.60" in head
+    assert "coulomb_v.k Coulomb friction 0.60" in head
+    assert "cluster-est export RUN" in head
+    drawn = [figure.attributes.get("id") for figure in figures.found]
+    assert drawn[:3] == ["shape-coulomb_v-0", "held-out", "worst"]
+    assert drawn.count("shape-coulomb_v-0") == 1
 
 
 def test_what_the_residuals_ask_for_without_a_form_is_the_friction(figures, shape):

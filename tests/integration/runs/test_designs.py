@@ -70,8 +70,14 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
     assert "rival of coulomb at der(v)" in printed
     assert "assume that the models are exact" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
-    for text in ("The next experiment", "What is fed in", "What is expected", "coulomb at der(v)"):
+    for text in ("What is fed in", "What is expected", "coulomb at der(v)", ">F (N)<", ">y (m)<"):
         assert text in page
+    probabilities = rows(folder / "next", "probabilities")
+    told = sum(each["after"] > max(0.9, each["before"]) for each in probabilities)
+    tells = f"{told} of {len(probabilities)} models" if told else "no model"
+    assert f"tells {tells} from its rivals" in page
+    units = {each["label"]: each["unit"] for each in rows(folder / "next", "precision")}
+    assert units["k"] == "N/m"
 
 
 def test_the_chosen_input_is_worth_more_than_a_random_one(folder):

@@ -39,7 +39,9 @@ def test_every_output_has_indices_over_time(run):
 
 def test_its_report_shows_the_ranking_and_the_outputs(run):
     page = (run / "report.html").read_text(encoding="utf-8")
-    assert "The parameters are ranked by their influence" in page
+    ranked = [row["label"] for row in rows(run, "ranking")]
+    assert f"The cost depends most on {ranked[0]}, then {' and '.join(ranked[1:3])}" in page
+    assert "estimated together" in page
     assert "Mean absolute elementary effect of log(cost)" in page
     assert "Mean absolute elementary effect of y in exp1" in page
 

@@ -18,7 +18,6 @@ from cluster_est.html_report.charts import (
     Line,
     Plot,
     Rules,
-    Scale,
 )
 from cluster_est.html_report.curve_section import column_of, extremes
 from cluster_est.html_report.number_text import (
@@ -30,6 +29,7 @@ from cluster_est.html_report.number_text import (
     interval,
     percent,
 )
+from cluster_est.html_report.scales import Scale
 
 X = np.linspace(0.0, 1.0, 11)
 UNIT = Scale(0.0, 1.0)

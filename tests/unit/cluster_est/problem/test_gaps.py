@@ -8,8 +8,8 @@ from support.problems.springs import TRUE, spring_problem
 from support.truth.exact_linear import position
 
 import cluster_est as ce
-from cluster_est.html_report.charts import Scale
 from cluster_est.html_report.curve_section import broken_line
+from cluster_est.html_report.scales import Scale
 from cluster_est.preflight.table_columns import read_columns
 from cluster_est.problem.gaps import split_at_gaps
 from cluster_est.problem.search_space import make_space

@@ -1,0 +1,246 @@
+"""What a run has found, in words: a headline, a few sentences, and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cluster_est.html_report.error_sections import error_sentence, error_sizes
+from cluster_est.html_report.number_text import count, percent
+from cluster_est.html_report.page_blocks import NextStep, Tone
+from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.run_folder.run_files import RunStatus, run_worth
+
+
+@dataclass(frozen=True)
+class ReportSummary:
+    """The words at the head of the page: verdict, sentences, next steps and notes."""
+
+    verdict: str
+    tone: Tone
+    sentences: tuple[str, ...]
+    steps: tuple[NextStep, ...]
+    notes: tuple[str, ...]
+
+
+LOOP_VERDICTS: dict[str, tuple[str, Tone]] = {
+    "found": ("Found", "good"),
+    "partial": ("Found in part", ""),
+    "unexplained": ("Something is missing, and nothing explains it", "bad"),
+    "none": ("Nothing is missing that these data show", "good"),
+    "none (coloured noise)": ("What is left looks like coloured noise of a sensor", "good"),
+}
+FIT_VERDICTS = {"done": "Fitted", "not converged": "The fit did not converge"}
+ENDINGS: dict[str, tuple[str, Tone]] = {
+    "interrupted": ("The run was interrupted", "bad"),
+    "failed": ("The run failed", "bad"),
+    RunStatus.RUNNING: ("The run goes on", ""),
+}
+NEAR_NOISE = 1.5
+"""Error over the noise up to which a fit follows the data as well as the noise allows."""
+
+
+def summarise(run: ReportedRun) -> ReportSummary:
+    """Put the result of a run into words."""
+    verdict, tone = _verdict(run)
+    sentences = [*_opening(run), *_fitted(run), *_bounds(run), *_failed(run)]
+    said = run.facts.get("notes") or ()
+    notes = tuple(_sentence(note) for note in said[1 if run.is_design else 0 :])
+    return ReportSummary(verdict, tone, tuple(sentences), tuple(_steps(run)), notes)
+
+
+def _verdict(run: ReportedRun) -> tuple[str, Tone]:
+    if run.is_sensitivity:
+        return _ranked(run), ""
+    if run.is_design:
+        return _designed(run), ""
+    if run.is_loop:
+        verdict, tone = LOOP_VERDICTS.get(run.facts["verdict"], (run.facts["verdict"], ""))
+        named = " and ".join(f"{e['words']} at {e['site']}" for e in run.facts["effects"] or ())
+        return f"{verdict}: {named}" if named else _with_errors(run, verdict), tone
+    if not run.finished or run.status in ENDINGS:
+        return ENDINGS.get(run.status, (run.status, ""))
+    doubts = run.facts.get("doubts") or ()
+    verdict = FIT_VERDICTS.get(run.status, run.status)
+    if run.status == RunStatus.DONE:
+        verdict += ", but doubtful" if doubts else " to the noise" if _is_near_noise(run) else ""
+    return _with_errors(run, verdict), run_worth(run.status, doubts).value
+
+
+def _is_near_noise(run: ReportedRun) -> bool:
+    sizes = error_sizes(run)
+    every = [sizes.of(sizes.of_role(role), "after") for role in ("train", "test")]
+    known = [size for size in every if not math.isnan(size)]
+    return sizes.is_noise and bool(known) and max(known) <= NEAR_NOISE
+
+
+def _with_errors(run: ReportedRun, verdict: str) -> str:
+    """A verdict with the errors of training and of held-out experiments."""
+    sizes = error_sizes(run)
+    train, test = (sizes.said(sizes.of_role(role)) for role in ("train", "test"))
+    of = " the noise" if sizes.is_noise else " of the signal"  # once is enough
+    held_out = f"held out {test.removeprefix('error ').removesuffix(of)}" if test else ""
+    said = "; ".join(filter(None, [train, held_out]))
+    return f"{verdict}: {said}" if said else verdict
+
+
+def _ranked(run: ReportedRun) -> str:
+    """What a sensitivity analysis ranks first."""
+    rows = [row for row in run.tables["ranking"] if row["value"] is not None]
+    known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
+    if not known:
+        return "Nothing moves the cost between the bounds of the parameters"
+    if len(run.tables["ranking"]) == 1:
+        return f"The cost depends on {known[0]}"
+    then = f", then {' and '.join(known[1:3])}" if known[1:] else ""
+    return f"The cost depends most on {known[0]}{then}"
+
+
+def _designed(run: ReportedRun) -> str:
+    """What the next experiment is expected to tell, in a few words."""
+    design = run.facts["design"]
+    said = f"The next experiment: {design['waveform']}, {design['duration']:.4g} s"
+    rows = [row for row in run.tables["probabilities"] if not math.isnan(row["after"])]
+    if rows:
+        told = sum(row["after"] > max(LIKELY, row["before"]) for row in rows)
+        if not told:
+            return f"{said}; tells no model from its rivals"
+        return f"{said}; tells {told} of {len(rows)} models from its rivals if it is right"
+    before, after = "std_error_before", "std_error_after"
+    of_all = run.tables["prediction_precision"] or run.tables["precision"]
+    rows = [row for row in of_all if row[before] > 0.0 and row[after] >= 0.0]
+    if not rows:
+        return said
+    best = min(rows, key=lambda row: row[after] / row[before])
+    share, name = best[after] / best[before], best.get("label") or best["output"]
+    what = "predicted " if "output" in best else ""
+    return f"{said}; the error of {what}{name} falls to {percent(share)} of what it is"
+
+
+LIKELY = 0.9
+"""Probability from which on a model counts as told from its rivals."""
+
+
+def _fitted(run: ReportedRun) -> list[str]:
+    """Return sentences on what is doubtful, what was fitted to what, and how the error went."""
+    if not run.finished:
+        return []
+    doubts = [] if run.is_loop else [_sentence(each) for each in run.facts.get("doubts") or ()]
+    numbers = sum(row["estimated_on"] == "train" for row in run.tables["parameters"])
+    roles = {row["experiment"]: row["role"] for row in run.tables["errors"]}
+    train = sum(role == "train" for role in roles.values())
+    model = (run.facts.get("fmu") or {}).get("name") or "the model"
+    were = "parameter value of" if numbers == 1 else "parameter values of"
+    said = f"{numbers} {were} {model} {'was' if numbers == 1 else 'were'} fitted to {train} "
+    said += "experiment." if train == 1 else "experiments."
+    held_out = [] if "test" in roles.values() else [NOT_HELD_OUT]
+    error = "" if run.facts.get("summary") else error_sentence(run)
+    return [*doubts, said, *filter(None, [error]), *held_out]
+
+
+NOT_HELD_OUT = "There is no held-out experiment, so nothing tells how it predicts."
+
+
+def _opening(run: ReportedRun) -> list[str]:
+    """Return sentences on what else a run says of itself."""
+    facts = run.facts
+    if run.is_sensitivity:
+        of_all, together = len(run.tables["ranking"]), facts["sensitivity"]["together"]
+        how_many = "all" if len(together) == of_all else str(len(together))
+        said = f"At the start values {how_many} of {of_all} unknowns can be estimated together."
+        return [said] if together and of_all > 1 else []
+    if run.is_design:
+        how, _, expected = facts["design"]["summary"].partition(": ")  # the headline says how
+        return [_sentence(expected or how)]
+    if run.is_loop:
+        added = [] if facts.get("effects") else ["Nothing was added to the model."]
+        return [_sentence(facts.get("summary") or ""), *added]
+    if run.finished:
+        return []
+    if run.is_running:
+        return ["What follows is what its folder holds so far; results come when it ends."]
+    return [
+        _sentence(facts.get("message") or ""),
+        "It left no results; what its folder holds is shown.",
+    ]
+
+
+def _bounds(run: ReportedRun) -> list[str]:
+    held = _at_bounds(run)
+    if not held:
+        return []
+    if len(held) == 1:
+        return [f"{held[0]} stands at a bound."]
+    return [f"{len(held)} parameters stand at a bound: {_listed(held)}."]
+
+
+def _at_bounds(run: ReportedRun) -> list[str]:
+    return [row["label"] for row in run.tables["parameters"] if row["at_bound"]]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
+
+
+def _failed(run: ReportedRun) -> list[str]:
+    total, failures = run.simulated
+    tried = run.facts.get("failures_in_search", 0)
+    if not failures or tried == failures:  # the section on workers says it
+        return []
+    total = max(total, 1)
+    share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
+    of = f", {count(tried)} of them while effects were tried" if tried else ""
+    return [f"{count(failures)} of {count(total)} simulations failed ({share}){of}."]
+
+
+LOOK = "cluster-est close-loop CONFIG --out FOLDER"
+DESIGN = "cluster-est design RUN --limits LIMITS --out next.csv"
+EXPORT = "cluster-est export RUN --fmu fitted.fmu"
+
+
+def _steps(run: ReportedRun) -> Iterator[NextStep]:
+    """Say what to do next, what matters most first."""
+    if run.is_design:
+        yield NextStep("Feed it in, write what you measure into its table, and fit again.")
+    elif run.is_sensitivity:
+        yield NextStep("Fit what matters, and fix the rest.", "cluster-est fit CONFIG --out FOLDER")
+    if not run.finished:
+        return
+    if run.status == RunStatus.NOT_CONVERGED:
+        yield NextStep("Give it a larger budget, another method, or several starts.")
+    if held := _at_bounds(run):
+        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix what is known.")
+    yield from _after_loop(run) if run.is_loop else _after_fit(run)
+    if not any(row["role"] == "test" for row in run.tables["errors"]):
+        yield NextStep('Hold an experiment out (role = "test") to see how it predicts.')
+
+
+def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
+    effects: list[Row] = run.facts.get("effects") or []
+    if effects:
+        yield NextStep("Take the repaired model.", EXPORT)
+    if any(effect.get("alternatives") for effect in effects):
+        yield NextStep("Tell what was found from its rivals by another experiment.", DESIGN)
+    if run.facts["verdict"] in ("unexplained", "partial"):
+        yield NextStep("See below when and where something is left, and allow other effects there.")
+    elif not effects:
+        yield NextStep("Take the fitted model.", EXPORT)
+
+
+def _after_fit(run: ReportedRun) -> Iterator[NextStep]:
+    if run.too_narrow:
+        yield NextStep("See what the model lacks.", LOOK)
+    if run.tables["directions"]:
+        yield NextStep("Narrow what the data do not determine by another experiment.", DESIGN)
+    if run.status == RunStatus.DONE and not run.facts.get("doubts"):
+        yield NextStep("Take the fitted model.", EXPORT)
+
+
+def _sentence(text: str) -> str:
+    """With a capital and a full stop."""
+    text = text.strip()
+    if not text:
+        return ""
+    text = text[0].upper() + text[1:] if text.split()[0].isalpha() else text
+    return text if text[-1] in ".!?" else f"{text}."

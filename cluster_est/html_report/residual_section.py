@@ -1,0 +1,197 @@
+"""What is left of each output: whether it looks like noise, and what it depends on if it does not.
+
+All of it is of the training experiments together. White noise has no autocorrelation, is spread
+like a normal distribution, and has a mean of 0 whatever the time, the inputs and the output are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.html_report.charts import (
+    Bars,
+    Chart,
+    Dots,
+    ErrorBars,
+    Line,
+    Mark,
+    Plot,
+    Rules,
+)
+from cluster_est.html_report.number_text import percent
+from cluster_est.html_report.page_blocks import (
+    Block,
+    FigureBlock,
+    GridBlock,
+    ReportSection,
+    TextBlock,
+    with_unit,
+)
+from cluster_est.html_report.recorded_curves import OutputCurves
+from cluster_est.html_report.reported_run import ReportedRun
+from cluster_est.html_report.scales import Scale
+from cluster_est.statistics.residual_tests import lagged_products
+from workers.messages import FloatArray
+
+MOST_OUTPUTS = 4
+"""Outputs that are looked at: those with the largest residuals over their noise."""
+FEWEST_SAMPLES = 20
+MOST_LAGS, FEWEST_LAGS = 2000, 20
+DRAWN_LAGS = 100
+MOST_DOTS, MEANS, BINS = 300, 16, 30
+"""Samples that are drawn over a variable, their means over it, and bars of a histogram."""
+MOST_VARIABLES = 4
+"""Inputs that residuals are drawn over."""
+COVERED = 1.96
+HEIGHT = 130
+NOTE = (
+    "Of the training experiments together. A model that lacks nothing leaves white noise: no "
+    "autocorrelation beyond the dashed lines (95 % of the lags of white noise stay within), a "
+    "histogram like the curve, and means (with 95 % bars, too short where neighbours are "
+    "correlated) around 0 over every variable. A variable over which the means bend is a hint at "
+    "what is missing."
+)
+
+
+def residuals(run: ReportedRun) -> ReportSection:
+    """Autocorrelation, histogram, and residuals over time, rate, output and inputs."""
+    outputs: dict[str, list[OutputCurves]] = {}
+    for (_, output), each in run.curves.items():
+        known = np.isfinite(each.measured - each.after).sum()
+        if each.role == "train" and each.has_times and known >= FEWEST_SAMPLES:
+            outputs.setdefault(output, []).append(each)
+    ranked = sorted(outputs, key=lambda name: -_size(outputs[name]))[:MOST_OUTPUTS]
+    units = {row["output"]: row["unit"] for row in run.tables["errors"]}
+    blocks: list[Block] = [TextBlock(NOTE)] if ranked else []
+    for number, name in enumerate(ranked):
+        if len(ranked) > 1:
+            blocks.append(TextBlock(name, kind="heading"))
+        blocks += _output(f"residual-{number}", name, units.get(name, ""), outputs[name])
+    if len(outputs) > len(ranked) > 0:
+        blocks.append(TextBlock(f"{len(ranked)} of {len(outputs)} outputs are shown.", "faint"))
+    return ReportSection("residuals", "What is left", tuple(blocks))
+
+
+def _size(records: list[OutputCurves]) -> float:
+    """Root mean square of the residuals, over sigma."""
+    joined = np.concatenate([each.residual for each in records])
+    return float(np.sqrt(np.nanmean(joined**2)))
+
+
+def _output(id_: str, name: str, unit: str, records: list[OutputCurves]) -> list[Block]:
+    rest = [each.measured - each.after for each in records]
+    label = with_unit("residual", unit)
+    over = [
+        _over(f"{id_}-{i}", *each, rest, label)
+        for i, each in enumerate(_variables(name, unit, records))
+    ]
+    known = [each for each in over if each is not None]
+    lags = _autocorrelation(f"{id_}-lags", rest, records)
+    return [GridBlock((*lags, _histogram(f"{id_}-histogram", rest, label), *known))]
+
+
+def _autocorrelation(
+    id_: str, rest: list[FloatArray], records: list[OutputCurves]
+) -> list[FigureBlock]:
+    """Correlations of a residual with itself, at lags up to some times its correlation length."""
+    parts = [np.nan_to_num(each) for each in rest]
+    sums = lagged_products(parts)
+    samples = sum(map(len, parts))
+    if len(sums) < 3 or not sums[0] > 0.0:
+        return []
+    rho = sums[1 : 1 + min(MOST_LAGS, len(sums) // 2)] / sums[0]
+    limit = COVERED / np.sqrt(samples)
+    inside = np.flatnonzero(np.abs(rho) < limit)
+    shown = max(FEWEST_LAGS, 4 * int(inside[0] + 1) if len(inside) else len(rho))
+    rho = rho[:shown]
+    outside = float(np.mean(np.abs(rho) > limit))
+    step = float(np.median(np.concatenate([np.diff(each.time) for each in records])))
+    kept = np.unique(np.linspace(0, len(rho) - 1, min(len(rho), DRAWN_LAGS)).astype(int))
+    lag = step * (kept + 1.0)
+    marks: list[Mark] = [
+        Rules("", "faint", y=(-limit, 0.0, limit)),
+        ErrorBars("", "after", lag, np.zeros(len(lag)), rho[kept]),
+        Dots("autocorrelation", "after", lag, rho[kept]),
+    ]
+    y = Scale.around(rho, np.array([-2.0 * limit, 2.0 * limit, 0.0]))
+    title = f"Autocorrelation: {percent(outside)} of {len(rho)} lags beyond the dashed lines"
+    plot = Plot(title, "correlation", Scale.around(lag, np.zeros(1)), y, marks, HEIGHT)
+    return [FigureBlock(id_, title, Chart((plot,), "lag (s)", legend=False, across=4))]
+
+
+def _histogram(id_: str, rest: list[FloatArray], label: str) -> FigureBlock:
+    """Where residuals lie, beside a normal distribution of the same spread."""
+    values = np.concatenate(rest)
+    values = values[np.isfinite(values)]
+    spread = float(np.sqrt(np.mean(values**2))) or 1.0
+    reach = float(np.clip(np.abs(values).max() / spread, 3.0, 6.0)) * spread
+    counts, edges = np.histogram(np.clip(values, -reach, reach), BINS, (-reach, reach))
+    heights = counts / (len(values) * (edges[1] - edges[0])) * spread
+    across = np.linspace(-reach, reach, 121)
+    normal = np.exp(-0.5 * (across / spread) ** 2) / np.sqrt(2.0 * np.pi)
+    marks: list[Mark] = [
+        Bars("residuals", "after", edges, heights),
+        Line("normal distribution", "before", across, normal),
+    ]
+    y = Scale(0.0, 1.08 * float(max(heights.max(), normal.max())))
+    title = "Histogram, beside a normal distribution"
+    plot = Plot(title, "density x rms", Scale.around(edges, margin=0.0), y, marks, HEIGHT)
+    return FigureBlock(id_, title, Chart((plot,), label, legend=False, across=4))
+
+
+Variable = tuple[str, str, list[FloatArray]]
+"""What it is called, with its unit, and its values beside the residuals of each record."""
+
+
+def _variables(name: str, unit: str, records: list[OutputCurves]) -> list[Variable]:
+    """The time, the output, its rate, and each input that all records have."""
+    rates = [_rate(each) for each in records]
+    found: list[Variable] = [
+        ("time", "time (s)", [each.time for each in records]),
+        (f"simulated {name}", with_unit(f"simulated {name}", unit), [e.after for e in records]),
+        (f"rate of {name}", with_unit(f"rate of {name}", f"{unit}/s" if unit else ""), rates),
+    ]
+    inputs = [{given.name: given for given in each.inputs} for each in records]
+    for given in list(inputs[0].values())[:MOST_VARIABLES]:
+        if all(given.name in each for each in inputs):
+            values = [
+                np.interp(record.time, each[given.name].time, each[given.name].value)
+                for record, each in zip(records, inputs, strict=True)
+            ]
+            label = with_unit(f"input {given.name}", given.unit)
+            found.append((f"input {given.name}", label, values))
+    return found
+
+
+def _rate(each: OutputCurves) -> FloatArray:
+    """How fast the simulated output changes, at the measured times."""
+    time, after = (each.time, each.after) if each.fine is None else each.fine[:2]
+    time, first = np.unique(time, return_index=True)
+    if len(time) < 3:
+        return np.full(len(each.time), np.nan)
+    return np.interp(each.time, time, np.gradient(after[first], time))
+
+
+def _over(
+    id_: str, name: str, below: str, x: list[FloatArray], rest: list[FloatArray], label: str
+) -> FigureBlock | None:
+    """Residuals over a variable: some as dots, and means of all; None where it does not vary."""
+    across, up = np.concatenate(x), np.concatenate(rest)
+    known = np.isfinite(across) & np.isfinite(up)
+    across, up = across[known], up[known]
+    if len(across) < FEWEST_SAMPLES or not np.ptp(across) > 0.0:
+        return None
+    order = np.argsort(across, kind="stable")
+    parts = [each for each in np.array_split(order, MEANS) if len(each) > 1]
+    middle, mean = (np.array([v[each].mean() for each in parts]) for v in (across, up))
+    error = np.array([up[each].std() / np.sqrt(len(each)) for each in parts])
+    some = np.unique(np.linspace(0, len(order) - 1, MOST_DOTS).astype(int))
+    marks: list[Mark] = [
+        Dots("residual", "faint", across[some], up[some]),
+        Rules("", "faint", y=(0.0,)),
+        ErrorBars("", "after", middle, mean - COVERED * error, mean + COVERED * error),
+        Line("mean", "after", middle, mean),
+    ]
+    title = f"Over {name}"
+    plot = Plot(title, label, Scale.around(across), Scale.around(up[some], mean), marks, HEIGHT)
+    return FigureBlock(id_, title, Chart((plot,), below, legend=False, across=4))

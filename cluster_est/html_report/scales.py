@@ -1,0 +1,121 @@
+"""Scales of charts: where values stand on a plot, and which of them are written beside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self, final
+
+import numpy as np
+
+from cluster_est.html_report.number_text import MINUS
+from workers.messages import FloatArray
+
+PLOT_UNITS = 10_000
+"""Places across a plot and up a plot: fine enough that a value read back has four digits."""
+
+LOG_FROM = 10.0
+"""Ratio of two positive values beyond which a scale that may be logarithmic is."""
+
+LEAST_TICKS = 2
+
+MORE = 1.35
+"""Times the asked number of parts there may be, rather than fewer than half."""
+
+
+@final
+@dataclass(frozen=True)
+class Scale:
+    """The values at both ends of a plot, which lie evenly between, or their logarithms do.
+
+    Attributes
+    ----------
+    low, high
+        Different from each other; both positive where `log`.
+    log
+        Whether it is logarithmic.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+    @classmethod
+    def around(
+        cls,
+        *values: FloatArray,
+        margin: float = 0.04,
+        may_be_log: bool = False,
+        least: float = 0.0,
+    ) -> Self:
+        """A scale that holds all finite values, with a margin as a share of their range.
+
+        Its range is at least the share `least` of the largest value, so that small differences of
+        large numbers look small.
+        """
+        known = np.concatenate([np.ravel(each) for each in values]) if values else np.zeros(0)
+        known = known[np.isfinite(known)]
+        if not len(known):
+            return cls(0.0, 1.0)
+        low, high = float(known.min()), float(known.max())
+        if may_be_log and low > 0.0 and high / low > LOG_FROM:
+            wider = (high / low) ** margin
+            return cls(low / wider, high * wider, log=True)
+        if high - low <= 1e-12 * max(abs(low), abs(high)):  # nothing but rounding would fill it
+            wider = 0.5 * abs(high) or 1.0
+            return cls(low - wider, high + wider)
+        missing = max(0.0, least * max(abs(low), abs(high)) - (high - low))
+        wider = margin * (high - low) + 0.5 * missing
+        return cls(low - wider, high + wider)
+
+    def places(self, values: FloatArray) -> FloatArray:
+        """Return positions from 0 at the low end to `PLOT_UNITS` at the high one; NaN stays NaN."""
+        if self.log:
+            with np.errstate(all="ignore"):
+                shares = np.log(values / self.low) / math.log(self.high / self.low)
+            return np.asarray(PLOT_UNITS * np.where(np.isfinite(shares), shares, np.nan))
+        return np.asarray(PLOT_UNITS * (values - self.low) / (self.high - self.low))
+
+    def ticks(self, count: int) -> tuple[tuple[float, str], ...]:
+        """About so many round values between both ends, two at least, and how they are written."""
+        if self.log:
+            return self._powers(count)
+        values: list[float] = []
+        while len(values) < LEAST_TICKS:  # one alone gives no measure of the scale
+            step = nice_step(self.high - self.low, count)
+            first, last = math.ceil(self.low / step), math.floor(self.high / step)
+            values = [step * number for number in range(first, last + 1)]
+            count += 1
+        return tuple((value, tick_text(value, step)) for value in values)
+
+    def _powers(self, count: int) -> tuple[tuple[float, str], ...]:
+        """Powers of ten, with 2 and 5 between where there is room."""
+        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+        for leading in ((1, 2, 5), (1, 3), (1,)):
+            found = [m * 10.0**power for power in range(first, last + 1) for m in leading]
+            found = [value for value in found if self.low <= value <= self.high]
+            if len(found) <= count + 1:
+                break
+        found = found[:: max(1, math.ceil(len(found) / (count + 1)))]
+        return tuple((value, f"{value:g}".replace("-", MINUS)) for value in found)
+
+
+def nice_step(span: float, count: int) -> float:
+    """The least of 1, 2 and 5 times a power of ten that cuts a span into about `count` parts."""
+    raw = span / (MORE * max(1, count))
+    power = 10.0 ** math.floor(math.log10(raw))
+    return next(m * power for m in (1, 2, 5, 10) if m * power >= raw * (1.0 - 1e-9))
+
+
+def tick_text(value: float, step: float) -> str:
+    """A multiple of a step, with as many digits as tell it from the next one."""
+    if abs(value) < 1e-9 * step:
+        return "0"
+    size = max(abs(value), step)
+    if 1e-3 <= size < 1e5 and step >= 1e-6:
+        text = f"{value:.{max(0, -math.floor(math.log10(step) + 1e-9))}f}"
+    else:
+        digits = math.floor(math.log10(size) + 1e-9) - math.floor(math.log10(step) + 1e-9)
+        mantissa, _, exponent = f"{value:.{digits}e}".partition("e")
+        text = f"{mantissa}e{int(exponent)}"
+    return text.replace("-", MINUS)
