@@ -383,7 +383,7 @@ def confirmed(
         and _more_held_out(errors, judged.independent)
     ):
         verdict = Verdict.PARTIAL
-        remark = ", significantly more than on training data: something is left"
+        remark = ", significantly more than in any training experiment: something is left"
     said = what_is_left(errors, judged.over, remark)
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
@@ -392,20 +392,27 @@ def confirmed(
 
 
 def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:
-    """Return whether held-out errors are larger than those of training, and not by chance.
+    """Return whether an output's held-out error is above that of all training experiments.
 
     If both are noise alone the quotient of the squares is that of the F distribution; estimates
-    that are uncertain add to what is predicted, so a part more is allowed for.
+    that are uncertain add to what is predicted, so a part more is allowed for. Experiments may
+    differ in their noise, so the one with the largest error is what counts.
     """
-    train, test = (pooled_error(errors, role, after=True) for role in ("train", "test"))
-    counts = [independent * _samples(errors, role) for role in ("test", "train")]
-    if not (train > 0.0 and min(counts) > 0.0):
-        return False
-    return test > HELD_OUT_ERROR * train and fdtrc(*counts, (test / train) ** 2) < RARE
-
-
-def _samples(errors: Sequence[ErrorChange], role: Role) -> int:
-    return sum(e.samples for e in errors if e.role == role)
+    for output in dict.fromkeys(e.output for e in errors if e.role == "test"):
+        own = [e for e in errors if e.output == output]
+        largest = max(
+            (e for e in own if e.role == "train" and e.normalised_after > 0.0),
+            key=lambda e: e.normalised_after,
+            default=None,
+        )
+        if largest is None:
+            continue
+        more = pooled_error(own, "test", after=True) / largest.normalised_after
+        samples = sum(e.samples for e in own if e.role == "test"), largest.samples
+        p = fdtrc(*(max(independent * count, 1.0) for count in samples), more**2)
+        if more > HELD_OUT_ERROR and p < RARE:
+            return True
+    return False
 
 
 def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings) -> str:
