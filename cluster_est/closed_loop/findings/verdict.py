@@ -43,7 +43,7 @@ from cluster_est.closed_loop.selection.rounds import (
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.residual_findings import autocorrelated
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
-from workers.messages import FloatArray, Role
+from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
 """Verdicts with which effects are added."""
