@@ -302,7 +302,7 @@ def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
             )
     for key, other, fits in (("tolerance", "final", True), ("between", "final", False)):
         if getattr(section, key) and (section.final is not None) is not fits:
-            word = "beside" if fits else "left out beside"
+            word = "used with" if fits else "left out with"
             raise ConfigError(f"{where}.{key}: must be {word} {other}; change one of the two")
 
 

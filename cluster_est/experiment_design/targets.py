@@ -109,8 +109,8 @@ def _experiments(
     if isinstance(own, Experiment):
         if own.id in known and planned.get(own.id) is not own:
             raise ProblemError(
-                f"predictions: a planned experiment must have a unique name but {own.id!r} is one "
-                "of the run or of the others; rename it"
+                f"predictions: a planned experiment must have a unique name but {own.id!r} is "
+                "used in the run or by another one; rename it"
             )
         planned[own.id] = own
         known[own.id] = _completed(own, like)

@@ -108,7 +108,7 @@ SIGNALS = [
     (on_y(upper=1, scale=0), r"\[0\].scale: .*greater than 0.*0"),
     (on_y(final=1, upper=2), r"\[0\].final: .*be the only limit.*upper and final"),
     (on_y(final=1, tolerance=-1), r"\[0\].tolerance: .*at least 0.*-1"),
-    (on_y(upper=2, tolerance=1), r"\[0\].tolerance: .*beside final"),
+    (on_y(upper=2, tolerance=1), r"\[0\].tolerance: .*used with final"),
     (on_y(upper=2, step_response=STEP), r"\[0\].step_response: .*be the only limit"),
     (on_y(step_response=3), r"\[0\].step_response: .*a table.*3"),
     (step(rise=120), "step_response.rise: .*less than 100.*120"),

@@ -102,7 +102,7 @@ def test_the_page_says_how_large_the_difference_is():
     (measured,) = experiment().outputs
     noise = np.std(measured.values - reference().values)
     page = (DOCS / "exported_fmus.md").read_text(encoding="utf-8")
-    assert f"a difference of {1e3 * held(SMALL).rms:.1f} mm" in page
-    assert f"the noise of the measured position is {1e3 * noise:.1f} mm" in page
+    assert f"the difference is {1e3 * held(SMALL).rms:.1f} mm" in page
+    assert f"The noise of the measured position is {1e3 * noise:.1f} mm" in page
     assert "five times as large" in page
     assert held(LARGE).rms / held(SMALL).rms == pytest.approx(5.0, rel=0.05)

@@ -74,7 +74,7 @@ def test_a_temporary_folder_takes_the_place_of_one_that_is_not_private(tmp_path,
     assert mode(folder) == mode(folder.parent) == 0o700
     said = notice()
     assert str(folder.parent) in said
-    assert f"because {chosen} is no folder" in said
+    assert f"because {chosen} is not a folder" in said
     assert "CLUSTER_EST_CACHE names another folder" in said
 
 

@@ -192,7 +192,7 @@ def test_tolerance_out_of_reach_is_an_outcome(rtol, reason):
 @pytest.mark.parametrize(
     ("name", "when", "why"),
     [
-        ("fails_late", "go on at t = 1", "it said: rate {} is too much after a second"),
+        ("fails_late", "continue at t = 1", "it said: rate {} is too much after a second"),
         ("talks", "be initialised at t = 0 s", "it said: rate {} is too much"),
     ],
 )

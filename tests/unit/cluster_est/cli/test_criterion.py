@@ -98,7 +98,7 @@ def test_anything_else_is_refused_before_there_is_a_document(expression, said):
         ("parameters.motor.R.vlue > 1", "did you mean 'value'?"),
         ("effects[7] == 'a'", "is not there"),
         ("verdict > 1", "cannot be compared"),
-        ("-verdict == 1", "no number"),
+        ("-verdict == 1", "not a number"),
     ],
 )
 def test_what_this_document_lacks_is_said(expression, said):
