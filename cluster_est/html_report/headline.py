@@ -98,15 +98,15 @@ def _ranked(run: ReportedRun) -> str:
 
 
 def _designed(run: ReportedRun) -> str:
-    """What the next experiment is expected to tell, in a few words."""
+    """What the next experiment is expected to show, in a few words."""
     design = run.facts["design"]
     said = f"The next experiment: {design['waveform']}, {design['duration']:.4g} s"
     rows = [row for row in run.tables["probabilities"] if not math.isnan(row["after"])]
     if rows:
         told = sum(row["after"] > max(LIKELY, row["before"]) for row in rows)
         if not told:
-            return f"{said}; tells no model from its rivals"
-        return f"{said}; tells {told} of {len(rows)} models from its rivals if it is right"
+            return f"{said}; distinguishes no model from its rivals"
+        return f"{said}; distinguishes {told} of {len(rows)} models from its rivals, if right"
     before, after = "std_error_before", "std_error_after"
     of_all = run.tables["prediction_precision"] or run.tables["precision"]
     rows = [row for row in of_all if row[before] > 0.0 and row[after] >= 0.0]
@@ -119,7 +119,7 @@ def _designed(run: ReportedRun) -> str:
 
 
 LIKELY = 0.9
-"""Probability from which on a model counts as told from its rivals."""
+"""Probability from which a model counts as distinguished from its rivals."""
 
 
 def _fitted(run: ReportedRun) -> list[str]:
@@ -202,15 +202,18 @@ EXPORT = "cluster-est export RUN --fmu fitted.fmu"
 def _steps(run: ReportedRun) -> Iterator[NextStep]:
     """Say what to do next, what matters most first."""
     if run.is_design:
-        yield NextStep("Feed it in, write what you measure into its table, and fit again.")
+        yield NextStep("Run the experiment, write the measurements into its table, and fit again.")
     elif run.is_sensitivity:
-        yield NextStep("Fit what matters, and fix the rest.", "cluster-est fit CONFIG --out FOLDER")
+        yield NextStep(
+            "Fit the influential parameters, and fix the others.",
+            "cluster-est fit CONFIG --out FOLDER",
+        )
     if not run.finished:
         return
     if run.status == RunStatus.NOT_CONVERGED:
         yield NextStep("Give it a larger budget, another method, or several starts.")
     if held := _at_bounds(run):
-        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix what is known.")
+        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix them if they are known.")
     yield from _after_loop(run) if run.is_loop else _after_fit(run)
     if not any(row["role"] == "test" for row in run.tables["errors"]):
         yield NextStep('Hold an experiment out (role = "test") to see how it predicts.')
@@ -219,22 +222,22 @@ def _steps(run: ReportedRun) -> Iterator[NextStep]:
 def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     effects: list[Row] = run.facts.get("effects") or []
     if effects:
-        yield NextStep("Take the repaired model.", EXPORT)
+        yield NextStep("Export the repaired model.", EXPORT)
     if any(effect.get("alternatives") for effect in effects):
-        yield NextStep("Tell what was found from its rivals by another experiment.", DESIGN)
+        yield NextStep("Distinguish the effect from its rivals by another experiment.", DESIGN)
     if run.facts["verdict"] in ("unexplained", "partial"):
-        yield NextStep("See below when and where something is left, and allow other effects there.")
+        yield NextStep("See below where error is left, and allow other effects there.")
     elif not effects:
-        yield NextStep("Take the fitted model.", EXPORT)
+        yield NextStep("Export the fitted model.", EXPORT)
 
 
 def _after_fit(run: ReportedRun) -> Iterator[NextStep]:
     if run.too_narrow:
         yield NextStep("See what the model lacks.", LOOK)
     if run.tables["directions"]:
-        yield NextStep("Narrow what the data do not determine by another experiment.", DESIGN)
+        yield NextStep("Determine the other parameters by another experiment.", DESIGN)
     if run.status == RunStatus.DONE and not run.facts.get("doubts"):
-        yield NextStep("Take the fitted model.", EXPORT)
+        yield NextStep("Export the fitted model.", EXPORT)
 
 
 def _sentence(text: str) -> str:

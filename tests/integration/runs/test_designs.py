@@ -75,7 +75,7 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
     probabilities = rows(folder / "next", "probabilities")
     told = sum(each["after"] > max(0.9, each["before"]) for each in probabilities)
     tells = f"{told} of {len(probabilities)} models" if told else "no model"
-    assert f"tells {tells} from its rivals" in page
+    assert f"distinguishes {tells} from its rivals" in page
     units = {each["label"]: each["unit"] for each in rows(folder / "next", "precision")}
     assert units["k"] == "N/m"
 
