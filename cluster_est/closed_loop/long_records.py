@@ -154,7 +154,7 @@ def _over_noise(thin: ThinnedProblem, changes: Changes) -> float:
     squares: dict[str, list[FloatArray]] = {}
     for (e, name), change in changes.items():
         output = next(o for o in thin.problem.experiments[e].outputs if o.variable == name)
-        unit = output.sigmas * (1.0 if output.has_sigma else thin.noise[name])
+        unit = output.sigmas * (1.0 if output.has_sigma else thin.within[name])
         squares.setdefault(name, []).append((change / unit) ** 2)
     means = [float(np.mean(np.concatenate(parts))) for parts in squares.values()]
     return float(np.sqrt(max(means, default=0.0)))

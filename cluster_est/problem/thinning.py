@@ -147,6 +147,8 @@ class ThinnedProblem:
     noise
         The most that the standard deviation of the noise of measured rows may be, by output: that
         of what polynomials leave within blocks, in training experiments.
+    within
+        The least that it is: what of it changes within a block. Of slow noise that is little.
     """
 
     whole: Problem
@@ -154,6 +156,7 @@ class ThinnedProblem:
     rows: tuple[tuple[csr_array | None, ...], ...] = field(repr=False)
     sentence: str
     noise: Mapping[str, float] = field(default_factory=dict)
+    within: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_thinner(self) -> bool:
@@ -198,13 +201,15 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
     parts = [one.run(own, coloured) for one, own in zip(each, looked, strict=True)]
     rows = tuple(tuple(None if t is None else t.matrix for t in own) for _, own in parts)
     changed = replace(problem, experiments=tuple(e for e, _ in parts))
-    noise: dict[str, list[float]] = {}
+    noise: dict[str, list[tuple[float, float]]] = {}
     for e in problem.indices("train"):
         for thin in parts[e][1]:
             if thin is not None:
-                noise.setdefault(thin.output.variable, []).append(thin.noise)
-    known = {name: float(np.sqrt(np.mean(own))) for name, own in noise.items()}
-    return ThinnedProblem(problem, changed, rows, _sentence(problem, changed), known)
+                noise.setdefault(thin.output.variable, []).append((thin.noise, thin.within))
+    roots = {name: np.sqrt(np.mean(own, axis=0)).tolist() for name, own in noise.items()}
+    largest, least = ({name: own[i] for name, own in roots.items()} for i in (0, 1))
+    sentence = _sentence(problem, changed)
+    return ThinnedProblem(problem, changed, rows, sentence, largest, least)
 
 
 def rows_of(experiment: Experiment) -> int:
@@ -259,11 +264,12 @@ class _BlockLength:
 
 @dataclass(frozen=True)
 class _ThinnedOutput:
-    """An output at its rows, what makes them, and the variance of the noise within blocks."""
+    """An output at its rows, what makes them, and its noise as variances: all, and in blocks."""
 
     output: Output
     matrix: csr_array = field(repr=False)
     noise: float
+    within: float
 
 
 @dataclass(frozen=True)
@@ -529,7 +535,8 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
     )
     rounding = quantisation_step(output.values) ** 2 / 12.0
     within = float(np.quantile(fits.variances, NOISY)) if len(fits.variances) else np.inf
-    return _ThinnedOutput(thin, matrix, max(within / memory.within, rounding))
+    noise = max(within / memory.within, rounding)
+    return _ThinnedOutput(thin, matrix, noise, max(within, rounding))
 
 
 def _sentence(before: Problem, after: Problem) -> str:
