@@ -79,25 +79,29 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
     outliers = outliers_of_long_records(whole, most)
     whole = without(whole, outliers) if outliers else whole
     resources = request.environment.resources
-    full: list[list[FloatArray]] | None = None
-    for fineness in FINENESS:
-        coarsest = fineness is FINENESS[0] and not outliers
-        found = first if coarsest else thinned(whole, most, fineness)
-        if not found.is_thinner:
-            break
-        full = full or _simulated(whole, resources)
-        corrected = found if full is None else _like_all_rows(found, full, resources)
-        if corrected is None:
-            continue
-        said = [each.sentence for each in outliers]
-        return replace(corrected, whole=whole, sentence="; ".join([found.sentence, *said]))
+    for found, corrected in ways_to_thin(whole, most, resources, None if outliers else first):
+        if corrected is not None:
+            said = [each.sentence for each in outliers]
+            return replace(corrected, whole=whole, sentence="; ".join([found.sentence, *said]))
     return thinned(request.problem, None)
 
 
-def corrected_rows(thin: ThinnedProblem, resources: Resources) -> ThinnedProblem | None:
-    """Return thinned records as a loop looks at them; None where it looks at others."""
-    full = _simulated(thin.whole, resources)
-    return None if full is None else _like_all_rows(thin, full, resources)
+def ways_to_thin(
+    whole: Problem, most: int | None, resources: Resources, first: ThinnedProblem | None = None
+) -> Iterator[tuple[ThinnedProblem, ThinnedProblem | None]]:
+    """Give thinned records, the coarsest first, and the same as a loop looks at them.
+
+    The second is None where thinning changes too much, and the first where nothing can be
+    simulated. `first` is the coarsest where that is known.
+    """
+    full: list[list[FloatArray]] | None = None
+    for fineness in FINENESS:
+        found = first or thinned(whole, most, fineness)
+        first = None
+        if not found.is_thinner:
+            return
+        full = full or _simulated(whole, resources)
+        yield found, found if full is None else _like_all_rows(found, full, resources)
 
 
 def _like_all_rows(

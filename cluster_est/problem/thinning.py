@@ -27,7 +27,6 @@ from cluster_est.statistics.block_fits import (
     BlockFits,
     block_values,
     even_blocks,
-    noise_memory,
     unpredicted,
 )
 from cluster_est.statistics.fewer_samples import fewer_knots, without_repeats
@@ -252,6 +251,8 @@ class _BlockLength:
     ----------
     own, times
         Which outputs, and when they were measured.
+    stretches : (s, 2)
+        Samples between the jumps of inputs.
     coloured
         Whether the noise of each seems to be.
     """
@@ -259,6 +260,7 @@ class _BlockLength:
     own: list[int]
     times: FloatArray = field(repr=False)
     length: int
+    stretches: IntArray = field(default_factory=lambda: np.zeros((0, 2), int), repr=False)
     coloured: tuple[bool, ...] = ()
 
 
@@ -325,8 +327,8 @@ class _Thinning:
         """Choose the rows of some outputs; None where all are kept."""
         if not group.length:
             return None
-        stretches, times = self._stretches(group.times), group.times
-        long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
+        stretches, times = group.stretches, group.times
+        long = _long(stretches)
         short = _single(stretches[np.diff(stretches)[:, 0] < SHORTEST_BLOCK])
         length = group.length // (NODES if coloured else 1) // self.fineness.shorter
         blocks = _long(even_blocks(long, max(length, SHORTEST_BLOCK)))
@@ -356,7 +358,7 @@ class _Thinning:
             self._stretches(times),
             [self.experiment.outputs[i].values for i in own],
         )
-        long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
+        long = _long(stretches)
         length = max(int(NODES * len(times) / (FEWEST * self.most)), SHORTEST_BLOCK)
         while not self._short_enough(length, long, times, signals):
             length //= 2
@@ -364,7 +366,7 @@ class _Thinning:
             return _BlockLength(own, times, 0)
         blocks = _some(even_blocks(long, max(length // NODES, SHORTEST_BLOCK)))
         coloured = tuple(_is_coloured(BlockFits.of(blocks, times, y)) for y in signals)
-        return _BlockLength(own, times, length, coloured)
+        return _BlockLength(own, times, length, stretches, coloured)
 
     def _short_enough(
         self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
@@ -514,14 +516,14 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
     """
     nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
     fits = BlockFits.of(rows.blocks, output.times, output.values)
-    memory = noise_memory(1.0, SHORTEST_BLOCK)
-    if rows.values == 1:
-        nodes, weights, memory = nodes[1::NODES], weights[1::NODES], fits.noise_memory
+    memory = fits.noise_memory if rows.values == 1 else None
+    if memory is not None:
+        nodes, weights = nodes[1::NODES], weights[1::NODES]
     single = eye_array(len(output.times), format="csr")[rows.samples]
     matrix = csr_array(vstack([weights, single]).tocsr())
     times = np.concatenate([nodes, output.times[rows.samples]])
     factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
-    if rows.values == 1:  # many single samples say no more than the block that they are in
+    if memory is not None:  # many single samples say no more than the block that they are in
         count = float(np.median(np.diff(rows.blocks)))
         factors[: len(nodes)] = np.sqrt(memory.middle)
         factors[len(nodes) :] = np.sqrt(count * memory.middle)
@@ -535,8 +537,8 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
     )
     rounding = quantisation_step(output.values) ** 2 / 12.0
     within = float(np.quantile(fits.variances, NOISY)) if len(fits.variances) else np.inf
-    noise = max(within / memory.within, rounding)
-    return _ThinnedOutput(thin, matrix, noise, max(within, rounding))
+    noise = within if memory is None else within / memory.within
+    return _ThinnedOutput(thin, matrix, max(noise, rounding), max(within, rounding))
 
 
 def _sentence(before: Problem, after: Problem) -> str:

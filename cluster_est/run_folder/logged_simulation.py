@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from cluster_est.closed_loop.long_records import corrected_rows
+from cluster_est.closed_loop.long_records import ways_to_thin
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import read_config
@@ -19,7 +19,6 @@ from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.log_replay import simulation_key
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.thinning import FINENESS, thinned
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.run_folder.log_segment import logged_cost, read_log, residuals_hash
 from cluster_est.run_folder.run_files import is_ended, read_config_text, read_facts
@@ -226,12 +225,9 @@ def prepare(
 def _with_rows_of_run(problem: Problem, config: Config) -> Iterator[Problem]:
     """Give the problem with all rows, then with those that a step on thinned records may have."""
     yield problem
-    for fineness in FINENESS:
-        found = thinned(problem, config.thinning.most(), fineness)
-        if not found.is_thinner:
-            continue
+    ways = ways_to_thin(problem, config.thinning.most(), build_resources(config))
+    for found, corrected in ways:
         yield found.problem
-        corrected = corrected_rows(found, build_resources(config))
         if corrected is not None:
             yield corrected.problem
 

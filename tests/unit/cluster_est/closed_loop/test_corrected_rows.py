@@ -6,8 +6,8 @@ import numpy as np
 from support.problems.springs import ROOT
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, read_model, simulate
-from cluster_est.closed_loop.long_records import corrected_rows
-from cluster_est.problem.thinning import MOST_ROWS, thinned
+from cluster_est.closed_loop.long_records import ways_to_thin
+from cluster_est.problem.thinning import MOST_ROWS
 from cluster_est.running.resources import Resources
 from workers.messages import FloatArray
 
@@ -36,10 +36,9 @@ def spring() -> Problem:
 
 
 def test_a_model_without_fault_leaves_noise_alone_on_corrected_rows():
-    found = thinned(spring(), MOST_ROWS)
+    found, corrected = next(ways_to_thin(spring(), MOST_ROWS, Resources()))
     ((matrix,),) = found.rows
     (thin,) = found.problem.experiments[0].outputs
-    corrected = corrected_rows(found, Resources())
     assert corrected is not None
     (output,) = corrected.problem.experiments[0].outputs
     left = output.values - simulated(found.problem)
