@@ -190,6 +190,11 @@ class _ExperimentKeys(ConfigSection):
         description="FMU output = noise relative to the measured value, in addition to sigma: "
         "sqrt(sigma^2 + (relative_sigma value)^2)",
     )
+    left_out: dict[str, list[Finite]] = Field(
+        default_factory=dict,
+        description="FMU output = times in seconds of samples that do not count, such as outliers; "
+        "close-loop says which it left out",
+    )
     start: Finite | None = Field(
         None, description="start of the simulation in seconds; default: the first time in the data"
     )
