@@ -85,7 +85,7 @@ class FormCondition(enum.Enum):
     POSITION = "position"
     """Its variable is the integral, but for a factor, of a state that the effect pushes."""
     NO_POSITION = "no position"
-    """Its variable is the derivative of no state."""
+    """Its variable is the derivative of no state, and a rate where its unit is known."""
     AROUND = "around"
     """Its two variables are the state at whose derivative it acts and an input of its unit that
     acts on it, such as an ambient temperature; at a pair, its two states if they have one unit."""

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, integrated_states
+from cluster_est.problem.dimensions import NUMBER, KnownUnits
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite, difference, is_difference
@@ -64,6 +65,10 @@ class OpenArguments:
         For each state the differences of itself, or of its integral, and an input of one unit that
         acts on its derivative: what a spring between a wheel and the road does to the wheel's speed
         is a function of its deflection.
+    no_ways
+        States and signals whose integral is no new way travelled: that is a state itself, or their
+        unit is known and is no rate. The integral of a flow may turn a pump, that of a temperature
+        is no way.
     feeds
         For each output the inputs that act on it at once, and not by way of states: what is missing
         in such an output may be one more term of a balance.
@@ -77,6 +82,7 @@ class OpenArguments:
     speeds: Mapping[str, str]
     surroundings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     relative: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    no_ways: frozenset[str] = frozenset()
     feeds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def at(self, site: EffectSite) -> list[str]:
@@ -144,7 +150,7 @@ class OpenArguments:
             return False
         if FormCondition.POSITION in form.when and self.speeds.get(argument) not in pushed:
             return False
-        if FormCondition.NO_POSITION in form.when and argument in self.speeds.values():
+        if FormCondition.NO_POSITION in form.when and argument in self.no_ways:
             return False
         return FormCondition.OWN not in form.when or argument in pushed
 
@@ -169,6 +175,9 @@ def open_arguments(
     pushed = _pushed(trajectories, states)
     around = _inputs_of_one_unit(description, units, pushed, common)
     speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
+    known = KnownUnits(description, dict(problem.units))
+    dimensions = {name: known.of(name) for name in (*states, *common)}
+    others = {n for n, d in dimensions.items() if d is not None and not (d.is_rate or d == NUMBER)}
     return OpenArguments(
         states=states,
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
@@ -178,6 +187,7 @@ def open_arguments(
         speeds=speeds,
         surroundings=_surroundings(around, pushed),
         relative=_relative(around, pushed, states, speeds),
+        no_ways=frozenset({*speeds.values(), *others}),
         feeds=_feeds(trajectories, description),
     )
 

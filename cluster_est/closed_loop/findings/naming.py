@@ -14,7 +14,7 @@ import numpy as np
 import sympy as sp
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.dimensions import (
+from cluster_est.problem.dimensions import (
     ACCELERATION,
     AMOUNT,
     ANGLE,

@@ -99,6 +99,21 @@ def test_ripples_without_a_way_are_functions_of_the_speed():
     assert {place for place in places if place[0] != "der(twist)"} == speeds
 
 
+def test_the_integral_of_a_temperature_is_no_way():
+    """Of what has no unit it may be one."""
+    assert not any(c.form.family == "ripple" for c in all_of("kiln"))
+    description, runs = simulated(missing_effect_problem("kiln"))
+    plain = {name: replace(v, unit="") for name, v in description.variables.items()}
+    problem = missing_effect_problem("kiln")
+    found = make_candidates(
+        problem, replace(description, variables=plain), runs, [], LoopSettings()
+    )
+    assert {c.effect.variables for c in found if c.form.family == "ripple"} == {
+        ("T_plate",),
+        ("T_charge",),
+    }
+
+
 def test_functions_of_the_difference_to_what_is_around_a_state():
     """A kiln in a hall: an input of the state's unit that acts on it, and no other one."""
     found = keyed(all_of("kiln", ()))

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.named_effects import described, estimate, seen, visited
 
-from cluster_est.closed_loop.findings.dimensions import dimension_of
+from cluster_est.problem.dimensions import dimension_of
 from workers.effects.forms import FORMS
 from workers.fmu.xml import UnitDefinition
 
