@@ -78,10 +78,9 @@ _AT_STATES = (
     # a gut, a tank that runs out: full at the start, and nothing comes after
     EffectForm("emptying", "store", Law.DECAY, _DER, "a * e", (_FIRST, _TAU), 0, (_DECAY,),
          order=0.4),
-    # a mass on a spring that hangs on a body: k is its mass over the body's, y its speed
+    # a mass on a spring that hangs on a body: y is its speed, k / f its mass over the body's
     EffectForm("oscillator", "store", Law.ATTACHED_OSCILLATOR, _DER,
-         "-k * (f * z + 2 * d * f * (v - y))", (FormCoefficient("k", positive=True,
-         unit="site second / v"), *_RESONANCE), 1,
+         "-k * (z + 2 * d * (v - y))", (_EXCHANGE, *_RESONANCE), 1,
          (OwnState("z", "f * (v - y)", "0"), OwnState("y", "f * z + 2 * d * f * (v - y)", "v")),
          when=(FormCondition.OWN, FormCondition.OSCILLATES), order=0.6),
     # a wall between two rooms, a joint that creeps
