@@ -101,7 +101,9 @@ def _tried(coefficient: FormCoefficient) -> str:
         return "a number"
     values = ", ".join(f"{each:g}" for each in coefficient.grid[:3])
     scale = (
-        "" if coefficient.scale.name in ("EXPONENT", "NUMBER") else f" x {coefficient.scale.value}"
+        ""
+        if coefficient.scale.name in ("EXPONENT", "NUMBER", "DAMPING")
+        else f" x {coefficient.scale.value}"
     )
     return f"such as {values}{scale}"
 

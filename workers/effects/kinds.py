@@ -63,6 +63,8 @@ class GridScale(enum.Enum):
     """Entries are exponents of a power law, whatever the data are."""
     NUMBER = "number"
     """Entries are the values themselves, of a coefficient without a unit."""
+    DAMPING = "damping"
+    """Entries are ratios of damping of what swings: below 1."""
     SPECTRUM = "spectrum"
     """Angular frequency of a peak in the residual's spectrum."""
 

@@ -54,7 +54,7 @@ _DECAY = OwnState("e", "-e / tau", "1")
 _RESONANCE = (
     FormCoefficient("f", None, positive=True, scale=GridScale.SPECTRUM, grid=(1.0,),
                     unit="rad / second"),
-    FormCoefficient("d", None, positive=True, scale=GridScale.NUMBER, grid=(0.03, 0.2),
+    FormCoefficient("d", None, positive=True, scale=GridScale.DAMPING, grid=(0.03, 0.2),
                     unit="1"),
 )  # fmt: skip
 """Of an oscillator that the residual shows: it rings where its spectrum has a peak."""

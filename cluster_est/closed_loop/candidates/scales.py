@@ -66,7 +66,7 @@ class SignalScales:
         if scale is GridScale.SPECTRUM:
             return tuple(self.frequencies)
         grid = coefficient.grid or (1.0,)
-        if scale in (GridScale.EXPONENT, GridScale.NUMBER):
+        if scale in (GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING):
             return grid
         if scale is GridScale.ABSOLUTE_ZERO:
             above = _ABOVE_ZERO.get(self.units.get(variables[0], ""))
