@@ -65,7 +65,7 @@ def test_a_wave_that_cannot_be_believed_is_not_added(frequency, ways):
 
 
 def test_a_spring_and_a_damper_in_series_are_found():
-    """Their force is a state that the model lacks: 5 N/m for each kg, 0.4 s. SciPy's, with noise."""
+    """Their force is a state that the model lacks: 5 N/m for each kg, 0.4 s."""
 
     def slope(t, x, force):
         v, dv = plain(t, x, force)
