@@ -529,7 +529,7 @@ simulation. A search does not try them."""
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f
-    for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS, *STORES)
+    for f in (*_RATES, *STORES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
     for kind in f.kinds
 }
 """All forms, by kind of site and name."""
