@@ -64,9 +64,12 @@ RESPONSES: dict[tuple[str, str], Values] = {
     ("input", "mode"): {"f": 40.0, "d": 0.25},
     ("input", "delay"): {"tau": 0.15},
     ("input", "rate_limit"): {"rate": 2.5},
+    ("input", "lead"): {"k": 0.25, "tau": 0.12},
     ("output", "lagged_feed_through"): {"k": 0.5, "tau": 0.15},
+    ("output", "mode_feed_through"): {"a": 0.5, "b": 0.0, "f": 40.0, "d": 0.1},
+    ("derivative", "store"): {"k": 1.0, "tau": 0.15},
 }
-"""Of a step, over time; the last is what a step of another signal adds to an output."""
+"""Of a step, over time; the last ones are what a step of another signal adds."""
 
 LOOPS: dict[tuple[str, str], Values] = {
     ("input", "backlash"): {"k": 0.3},
@@ -149,7 +152,7 @@ def groups() -> list[tuple[str, list[Tile]]]:
     ]
 
 
-FOLLOWING = ("lag", "mode", "delay", "rate_limit", "backlash")
+FOLLOWING = ("lag", "lead", "mode", "delay", "rate_limit", "backlash")
 """What changes the signal at its site, and does not add a function of another one."""
 
 

@@ -26,6 +26,7 @@ from workers.effects.kinds import (
     positive,
 )
 from workers.effects.laws import Law
+from workers.effects.stores import STORES
 from workers.errors import EffectError
 from workers.fmu.description import nearest
 
@@ -131,7 +132,7 @@ _RATE = FormCoefficient(
 _SWINGS = (
     FormCoefficient("f", float("inf"), positive=True, scale=GridScale.PER_STEP,
                     grid=(0.5, 0.15, 0.05), unit="rad / second"),
-    _shape("d", "1", GridScale.EXPONENT, 0.2, 0.7),
+    _shape("d", "1", GridScale.NUMBER, 0.2, 0.7),
 )  # fmt: skip
 _PULLED = "f * (s - z) - 2 * d * f * y"
 _LAG = OwnState("z", "(v - z) / tau", "v")
@@ -439,7 +440,7 @@ _SIGNALS = (
          "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
     EffectForm("lag", "lag", Law.FIRST_ORDER_LAG, _SIGNAL,
          "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
-    EffectForm("lag_from_rest", "lag", Law.FIRST_ORDER_LAG_FROM_ZERO, _IN, "z", (_LATE,), 0,
+    EffectForm("lag_from_rest", "lag", Law.FIRST_ORDER_LAG_FROM_ZERO, _SIGNAL, "z", (_LATE,), 0,
          (OwnState("z", "(s - z) / tau", "0"),), when=(FormCondition.FROM_REST,), order=0.2),
     # of an actuator or a sensor that swings, with a gain of 1 at rest
     EffectForm("mode", "lag", Law.SECOND_ORDER_LAG, _SIGNAL, "z", _SWINGS, 0,
@@ -528,7 +529,7 @@ simulation. A search does not try them."""
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f
-    for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
+    for f in (*_RATES, *STORES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
     for kind in f.kinds
 }
 """All forms, by kind of site and name."""

@@ -61,6 +61,10 @@ class GridScale(enum.Enum):
     """How far the zero of v's unit lies above absolute zero; for temperatures in K or degC."""
     EXPONENT = "exponent"
     """Entries are exponents of a power law, whatever the data are."""
+    NUMBER = "number"
+    """Entries are the values themselves, of a coefficient without a unit."""
+    DAMPING = "damping"
+    """Entries are ratios of damping of what swings: below 1."""
     SPECTRUM = "spectrum"
     """Angular frequency of a peak in the residual's spectrum."""
 
@@ -72,6 +76,9 @@ class FormCondition(enum.Enum):
     """Its variable, or the signal where it has none, clearly takes both signs."""
     POSITIVE = "positive"
     """Its variable, or the signal where it has none, is never negative."""
+    AMOUNT = "amount"
+    """Its variable, or the signal where it has none, is never negative, and no temperature: where
+    it is zero there is nothing."""
     OWN = "own"
     """Its variable, the first where it has two, is the state at whose derivative it acts, at an
     input one that this acts on."""
@@ -92,6 +99,8 @@ class FormCondition(enum.Enum):
     FROM_REST = "from rest"
     """The signal at its site is not zero at the start of every experiment: it may have begun then,
     or have been there before."""
+    STATE = "state"
+    """Its variable is a state, and no difference."""
     DRIVEN = "driven"
     """Its variable is an input or a measured signal."""
     FEEDS = "feeds"
@@ -232,9 +241,10 @@ class EffectForm:
 
     @property
     def of_time_alone(self) -> bool:
-        """It is a function of nothing but time: a drift, a wave."""
-        alone = not self.variables and not self.states and not self.memory
-        return alone and re.search(r"\bt\b", self.equation) is not None
+        """It is a function of nothing but time: a drift, a wave, what decays from the start."""
+        texts = [self.equation, *(z.derivative for z in self.states)]
+        signals = self.variables or self.memory or any(re.search(r"\bs\b", t) for t in texts[1:])
+        return not signals and (bool(self.states) or re.search(r"\bt\b", texts[0]) is not None)
 
 
 def positive(coefficient: FormCoefficient, *, own: bool) -> bool:

@@ -141,6 +141,8 @@ class OpenArguments:
             if form.free and first > second:  # the same curve upside down
                 return False
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
+        if FormCondition.STATE in form.when and argument not in self.states:
+            return False
         if FormCondition.DRIVEN in form.when:
             return argument in self.driven
         if FormCondition.FEEDS in form.when:

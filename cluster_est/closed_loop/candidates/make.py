@@ -207,6 +207,8 @@ def _bounds(
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
+    if coefficient.scale is GridScale.DAMPING:
+        return 0.001, 1.0
     if coefficient.positive:
         low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:

@@ -52,6 +52,8 @@ class SignalScales:
             return False
         if FormCondition.POSITIVE in form.when and (about is None or not _positive(about)):
             return False
+        if FormCondition.AMOUNT in form.when and not self._is_amount(about, variables):
+            return False
         spread = [c.scale for c in form.coefficients if c.scale in _ENDS]
         ends = {self.grid(FormCoefficient("", scale=scale), site, variables) for scale in spread}
         return len(ends) == len(spread)
@@ -64,7 +66,7 @@ class SignalScales:
         if scale is GridScale.SPECTRUM:
             return tuple(self.frequencies)
         grid = coefficient.grid or (1.0,)
-        if scale is GridScale.EXPONENT:
+        if scale in (GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING):
             return grid
         if scale is GridScale.ABSOLUTE_ZERO:
             above = _ABOVE_ZERO.get(self.units.get(variables[0], ""))
@@ -131,6 +133,10 @@ class SignalScales:
         pairs = zip(linears, places, strict=True)
         rates = [float(np.abs(linear.A.row(place)[:, place]).max()) for linear, place in pairs]
         return max(1.0 / self.resolution, *rates, 0.0) / SHORTEST_TIME
+
+    def _is_amount(self, about: FloatArray | None, variables: tuple[str, ...]) -> bool:
+        warm = bool(variables) and self.units.get(variables[0], "") in _ABOVE_ZERO
+        return about is not None and not warm and _positive(about)
 
     def _begins(self, name: str) -> bool:
         """Return whether a signal is not zero at the start of some experiment."""

@@ -190,6 +190,7 @@ OWN_TESTS = {
     ("input", "rate_limit"): "test_a_limited_rate_of_an_input",
     ("input", "rate_limit_from_rest"): "test_a_limited_rate_of_an_input",
     ("output", "hysteresis"): "test_hysteresis_of_a_sensor",
+    ("pair", "store"): "test_a_spring_and_a_damper_in_series_between_two_states",
 }
 """Forms that need more than a truth below: their tests in `tests/integration/effects`."""
 
@@ -343,6 +344,46 @@ def _sensor(f: float, d: float) -> np.ndarray:
     return solve(slope, (*START, START[0], 0.0))[:, 2]
 
 
+def _relaxing(*rates: tuple[float, float]) -> Slope:
+    """With springs, each in series with a damper: their forces are the further states."""
+
+    def slope(t: float, x: np.ndarray, f: float) -> list[float]:
+        v, dv = plain(t, x, f)
+        forces = [k * v - p / tau for p, (k, tau) in zip(x[2:], rates, strict=True)]
+        return [v, dv - sum(x[2:]), *forces]
+
+    return slope
+
+
+def _carrying(t: float, x: np.ndarray, f: float) -> list[float]:
+    """With a mass of 0.2 of its own on a spring and a damper."""
+    v, dv = plain(t, x, f)
+    pulled = 9.0**2 * (x[0] - x[2]) + 2.0 * 0.1 * 9.0 * (v - x[3])
+    return [v, dv - 0.2 * pulled, x[3], pulled]
+
+
+def _led(t: float, x: np.ndarray, f: float) -> list[float]:
+    return [*plain(t, x, f + 0.5 * (f - x[2])), (f - x[2]) / 0.1]
+
+
+def _with_a_second_mode() -> np.ndarray:
+    def slope(t: float, x: np.ndarray, f: float) -> list[float]:
+        return [*plain(t, x, f), x[3], _swing(f, x[2], x[3], 12.0, 0.3)]
+
+    found = solve(slope, (*START, 0.0, 0.0))
+    return found[:, 0] + 0.01 * found[:, 2] - 0.004 * found[:, 3] / 12.0
+
+
+def _leading() -> np.ndarray:
+    shown = base()[:, 0]
+    return shown + 0.5 * (shown - _slow(0.05))
+
+
+def _from_nought() -> np.ndarray:
+    """What a slow sensor shows that stood at zero: what began elsewhere decays."""
+    return _slow(0.3) - START[0] * np.exp(-TIMES / 0.3)
+
+
 def _slow(tau: float, of: int = 0) -> np.ndarray:
     """What a sensor shows that lags behind the position, or behind the force from nought."""
 
@@ -370,6 +411,59 @@ def _late_output() -> np.ndarray:
 def _rubbed_input(t: float, x: np.ndarray, f: float) -> list[float]:
     return [*plain(t, x, f - 0.5 * x[2]), _dahl(x[1], x[2])]
 
+
+STORED: list[FormTruth] = [
+    FormTruth(
+        "derivative", "store", (6.0, 0.3), ("x",), partial(_first, _relaxing((6.0, 0.3)), 0.0), 1e-8
+    ),
+    FormTruth(
+        "derivative",
+        "store_from_zero",
+        (6.0, 0.3),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.3)), 6.0 * START[0]),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "store_from_elsewhere",
+        (6.0, 0.5, 0.3),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.3)), 6.0 * (START[0] - 0.5 / 6.0)),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "two_stores",
+        (6.0, 4.0, 0.1, 0.9),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.1), (4.0, 0.9)), 0.0, 0.0),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "emptying",
+        (0.5, 0.3),
+        (),
+        partial(_first, pushed(lambda t, x, f: 0.5 * np.exp(-t / 0.3))),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "oscillator",
+        (0.2 * 9.0, 9.0, 0.1),
+        (),
+        partial(_first, _carrying, *START),
+        1e-7,
+    ),
+    FormTruth("input", "lead", (0.5, 0.1), (), partial(_first, _led, FORCE[0]), 1e-8),
+    FormTruth("output", "lead", (0.5, 0.05), (), _leading, 2e-5),
+    FormTruth("output", "lag_from_rest", (0.3,), (), _from_nought, 2e-5),
+    FormTruth(
+        "output", "mode_feed_through", (0.01, -0.004, 12.0, 0.3), ("F",), _with_a_second_mode, 1e-6
+    ),
+]
+"""Hidden stores and oscillators, by other equations than those of the library."""
 
 WITH_MEMORY = [
     FormTruth("derivative", "dahl", (0.5, 0.02), (), partial(_first, _rubbed, 0.0), 1e-8),
@@ -408,7 +502,7 @@ WITH_MEMORY = [
 ]
 """Forms with states of their own, and those that need values of another time."""
 
-TRUTHS = [*_functions(), *WITH_MEMORY]
+TRUTHS = [*_functions(), *WITH_MEMORY, *STORED]
 """Of every form at the springs but for those of `OWN_TESTS`."""
 
 

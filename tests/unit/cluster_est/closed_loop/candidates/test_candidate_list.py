@@ -143,8 +143,19 @@ def test_a_lag_may_begin_at_zero_only_where_its_signal_does_not(first, named):
         (force,) = run.inputs
         values = force.values - force.values[0] + first
         runs.append(replace(run, inputs=(replace(force, values=values),)))
-    own = {c.form.name for c in listed(replace(PLAIN, experiments=tuple(runs)))}
+    found = listed(replace(PLAIN, experiments=tuple(runs)))
+    own = {c.form.name for c in found if c.site.kind == "input"}
     assert own & {"lag", *FROM_REST} == {"lag", *named}
+
+
+def test_a_store_is_of_a_state_and_begins_empty_only_where_zero_is_nothing():
+    tanks = {(str(c.site), c.form.name, c.effect.variables) for c in all_of("cascaded_tanks", ())}
+    assert ("der(h2)", "store", ("h1",)) in tanks
+    assert ("der(h1)", "store_from_zero", ("h1",)) in tanks
+    assert not any(name.startswith("store") and v == ("u",) for _, name, v in tanks)
+    warm = {c.form.name for c in all_of("kiln", ()) if c.site.kind == "derivative"}
+    assert {"store", "store_from_elsewhere"} <= warm
+    assert "store_from_zero" not in warm
 
 
 def test_sites_are_what_moves_is_driven_measured_or_estimated():
