@@ -412,8 +412,8 @@ def _add_export(commands: Commands) -> None:
     export.add_argument(
         "--no-step",
         action="store_true",
-        help="do not look for the communication step that reproduces the error of the run "
-        "(this takes some seconds)",
+        help="skip the search for a communication step that reproduces the error of the run; the "
+        "search takes some seconds",
     )
     export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
     export.add_argument(

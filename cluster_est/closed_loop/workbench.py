@@ -187,9 +187,9 @@ def _check_shape(problem: Problem) -> None:
             if not output.is_plain:
                 raise ProblemError(
                     f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
-                    "compared as it is, because its tests treat residuals as differences, but "
-                    f'has {NOT_PLAIN}; a scale that all experiments share (free_scale = "shared") '
-                    "is allowed"
+                    "compared directly, because the tests of the closed loop need residuals that "
+                    f"are plain differences, but has {NOT_PLAIN}; only a scale that all "
+                    'experiments share (free_scale = "shared") is allowed'
                 )
     for parameter in problem.parameters:
         if parameter.prior is not None:

@@ -219,7 +219,7 @@ class _ExperimentKeys(ConfigSection):
         default_factory=dict, description="known values of this experiment, by FMU name"
     )
     group: Annotated[dict[str, str], BeforeValidator(as_group)] = Field(
-        default_factory=dict, description='KEY = "label" for parameters that are per "group:KEY"'
+        default_factory=dict, description='KEY = "label", for parameters with per = "group:KEY"'
     )
     columns: dict[str, ColumnSection] = Field(
         default_factory=dict, description="column = { factor, offset, demean }"

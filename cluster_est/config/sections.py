@@ -278,7 +278,9 @@ class ParameterSection(ConfigSection):
         "there is an expression",
     )
     bounds: Bounds = Field((float("-inf"), float("inf")), description="[lower, upper]")
-    scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
+    scale: Literal["linear", "log"] = Field(
+        "linear", description="log: methods work with ln(value)"
+    )
     fixed: bool = Field(False, description="true: keep it fixed at its start")
     variable: str = Field("", description="name of the variable in the FMU; default: the key")
     per: str | None = Field(
@@ -317,8 +319,9 @@ class CoefficientSection(ConfigSection):
     )
     scale: Literal["linear", "log"] | None = Field(
         None,
-        description="log: methods see ln(value); default: log for a time constant, a width, a "
-        "speed or a frequency whose start and bounds are above 0, else linear",
+        description="log: methods work with ln(value); default: log for a time constant, a "
+        "width, a speed or a frequency whose start and bounds are above 0, else "
+        "linear",
     )
     fixed: bool = Field(False, description="true: keep it fixed at its start")
     neutral: Finite | None = Field(

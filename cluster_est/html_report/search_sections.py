@@ -300,7 +300,7 @@ def _work(run: ReportedRun) -> list[Block]:
         return []
     failed = f"{count(failures)} failed" if failures else "none failed"
     if failures and failures == run.facts.get("failures_in_search"):
-        failed += ", all of them while effects were tried"
+        failed += ", all of them in the search for effects"
     said = f"{count(simulations)} simulations, {failed}"
     if run.facts.get("seconds") is not None:
         workers = len(run.tables["workers"]) or 1

@@ -52,7 +52,7 @@ def missing_binary(
     if path in held:
         return None
     there = platforms_in(held)
-    must = f"must have a binary for {wanted}, this machine's platform, but"
+    must = f"must have a binary for this machine's platform ({wanted}) but"
     if wanted in there:
         return f"must have the binary {path} but has not; export it again"
     if there:

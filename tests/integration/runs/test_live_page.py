@@ -253,7 +253,7 @@ def test_the_folder_has_the_curves_of_a_run_that_has_ended(configured):
     ("change", "said"),
     [
         ({"config_folder": "/nowhere"}, "its config was in /nowhere, which is not here"),
-        ({"config_folder": None}, "must know where the files of its config are"),
+        ({"config_folder": None}, "must record the folder of its config's files but does not"),
     ],
 )
 def test_why_there_are_no_curves_is_said(on_its_way, change, said):
