@@ -190,7 +190,7 @@ def _failed(run: ReportedRun) -> list[str]:
         return []
     total = max(total, 1)
     share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
-    of = f", {count(tried)} of them while effects were tried" if tried else ""
+    of = f", {count(tried)} of them in the search for effects" if tried else ""
     return [f"{count(failures)} of {count(total)} simulations failed ({share}){of}."]
 
 
