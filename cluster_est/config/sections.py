@@ -121,7 +121,7 @@ class ConstraintSection(ConfigSection):
         description="constraint on parameters: two formulas with <=, >= or = between them, such as "
         '"mu_d <= mu_s"',
     )
-    signal: str = Field("", description="variable of the FMU that is limited")
+    signal: str = Field("", description="name of the variable of the FMU that is limited")
     function: str = Field(
         "",
         description='"module:name" of a Python function that returns a number that must be at '
@@ -132,7 +132,8 @@ class ConstraintSection(ConfigSection):
     upper: Level | None = Field(None, description="number, or [[time, value], ...]")
     step_response: StepSection | None = Field(None, description="envelope of a step response")
     tracking: TrackingSection | None = Field(
-        None, description="band around the measured signal, in each experiment that has it"
+        None,
+        description="band around the measured signal, in each experiment in which it is measured",
     )
     final: Finite | None = Field(None, description="value at the end of the simulation")
     tolerance: Finite = Field(
@@ -288,7 +289,7 @@ class ParameterSection(ConfigSection):
         description='"experiment" or "group:KEY": a separate value for each experiment or group; '
         "default: one shared value",
     )
-    unit: str = Field("", description="for tables; default: the FMU's")
+    unit: str = Field("", description="unit shown in tables; default: the FMU's")
     expression: str = Field(
         "", description='formula in other parameters, instead of start, such as "2 * k1"'
     )

@@ -285,4 +285,4 @@ def _index(value: float | None) -> str:
 def _together(row: Row) -> str:
     if row["position"] < 0:
         return ""
-    return "yes" if row["together"] else "no: fix it, or measure more"
+    return "yes" if row["together"] else "no: fix this value, or measure more"

@@ -68,7 +68,7 @@ def unit_findings(
         if change is None or change == UnitConversion(1.0) or same_unit(unit, wanted):
             continue
         shown = f"'{column}'" if split_unit(column)[1] == unit else f"'{column}' in {unit}"
-        line = f"column {shown} is given to {variable}, which is in {wanted}, as it is"
+        line = f"column {shown} is given to {variable}, which is in {wanted}, without a conversion"
         do = f"{dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
         do += (
             f"offset = {change.offset:.12g} }}; if only the unit in the name is wrong, set just "

@@ -419,7 +419,7 @@ class TestWhereSomethingIsOpen:
         capsys.readouterr()
         assert main(CHECK) == 1
         said = " ".join(capsys.readouterr().out.split())
-        assert "column 'time [ms]' is given to time, which is in s, as it is" in said
+        assert "column 'time [ms]' is given to time, which is in s, without a conversion" in said
         assert "columns.y_mm = { factor = 0.001, offset = 0 }" in said
         assert "F [N]" not in said
 

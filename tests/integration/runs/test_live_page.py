@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_is_not_stopped(ended):
     with LivePage(ended) as page:
         answer, content = Visitor(page).ask("/stop", "POST")
     assert answer.status == 409
-    assert b"must be a run that goes on to be stopped but is done" in content
+    assert b"must be a run in progress to be stopped but is done" in content
     assert not (ended / "stop").exists()
 
 
@@ -323,7 +323,7 @@ def test_watch_serves_the_page_until_ctrl_c(ended, capsys, monkeypatch):
 
 def test_watch_refuses_what_it_cannot_show(ended, tmp_path, capsys):
     assert main(["watch", str(tmp_path), "--browser"]) == 2
-    assert "none in the folders below it" in capsys.readouterr().err
+    assert "neither this folder nor a folder in it has a run.json" in capsys.readouterr().err
     assert main(["watch", str(ended), "--browser", "--json"]) == 2
     assert "leave --json out" in capsys.readouterr().err
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -431,4 +431,4 @@ def test_in_a_browser_runs_are_sorted_and_lead_to_their_pages(ended, configured,
         page.locator("#all").click()
         page.wait_for_selector("#runs tbody tr")
         page.goto(served.address.partition("?")[0])
-        assert "by the address that the command has printed" in page.content()
+        assert "with the address that the command printed" in page.content()
