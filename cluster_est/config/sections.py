@@ -144,7 +144,7 @@ class ConstraintSection(ConfigSection):
     )
     samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
     scale: Finite | None = Field(
-        None, gt=0.0, description="unit of a violation; default: the size of the limits"
+        None, gt=0.0, description="divisor of a violation; default: the size of the limits"
     )
     experiments: list[str] = Field(
         default_factory=list, description="ids of the experiments; default: all"

@@ -110,7 +110,7 @@ def test_everybody_else_is_refused(begun, wrong):
         for method, path in asked:
             answer, content = Visitor(page).ask(path, method, **WRONG[wrong])
             assert answer.status == 403, path
-            assert b"the address that the command has printed" in content
+            assert b"the address that the command printed" in content
     assert not (begun.path / "stop").exists()
 
 
@@ -229,7 +229,7 @@ def test_curves_of_the_best_point_are_simulated_once_more(configured, on_its_way
         visitor = Visitor(page)
         found = visitor.state("/curves", experiment="exp2")
         assert (found["experiment"], len(found["experiments"])) == ("exp2", 5)
-        assert "simulated once more" in found["said"]
+        assert "Simulated for this page" in found["said"]
         (curve,) = found["outputs"]
         assert visitor.state("/curves", experiment="none")["experiment"] == "exp1"
         starts = {row["label"]: row["start"] for row in visitor.state()["parameters"]}
@@ -325,7 +325,7 @@ def test_watch_refuses_what_it_cannot_show(ended, tmp_path, capsys):
     assert main(["watch", str(tmp_path), "--browser"]) == 2
     assert "neither this folder nor a folder in it has a run.json" in capsys.readouterr().err
     assert main(["watch", str(ended), "--browser", "--json"]) == 2
-    assert "leave --json out" in capsys.readouterr().err
+    assert "must be used without --json" in capsys.readouterr().err
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert main(["watch", str(ended), "--browser", "--port", port]) == 2
