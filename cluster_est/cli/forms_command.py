@@ -153,7 +153,7 @@ def forms(options: Namespace, answer: Answer) -> int:
     answer.say("")
     answer.say(SYMBOLS.replace("`", ""))
     if options.form is None:
-        answer.say("one of them, with a block for a config: cluster-est forms FORM")
+        answer.say("to describe one form, with a block for a config: cluster-est forms FORM")
     return ExitCode.DONE
 
 

@@ -255,12 +255,16 @@ def _said(each: CaseFigures) -> str:
     text = f"Verdict of the closed loop: `{each.loop.verdict}`"
     text += "." if each.loop.effects else "; nothing was added."
     loop = each.loop.figures
-    for name, run in (("base model's", each.base), ("textbook's", each.textbook)):
-        if run:
-            text += f" Its held-out error is {loop.test / run.test:.2f} times the {name}."
+    others = (("base model's", each.base), ("textbook's", each.textbook))
+    shares = [f"{loop.test / run.test:.2f} times the {name}" for name, run in others if run]
+    if shares:
+        text += f" The held-out error is {' and '.join(shares)}."
     if math.isfinite(each.noise):
         times = [f"{error / each.noise:.3g}" for error in (loop.train, loop.test)]
-        text += f" It leaves {times[0]} times the noise in training and {times[1]} held out."
+        text += (
+            f" The remaining error is {times[0]} times the noise in training "
+            f"and {times[1]} times the noise on held-out data."
+        )
     return text
 
 

@@ -34,7 +34,9 @@ class Law(enum.Enum):
     SWITCH_BY_MAGNITUDE = (
         "a term that switches with the sign of {v}, proportional to the magnitude of {w}"
     )
-    SWITCH_BY_CURVE = "a term that switches with the sign of {v}, by a free curve of {w}"
+    SWITCH_BY_CURVE = (
+        "a term that switches with the sign of {v} and has the size of a free curve of {w}"
+    )
     HYSTERESIS = "a hysteresis over {v}"
     ABOVE = "a term linear in {v} above a threshold"
     BELOW = "a term linear in {v} below a threshold"

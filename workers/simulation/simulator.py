@@ -378,8 +378,9 @@ class Simulator:
         solver = self._model.solver.name
         if self._model.interface != "model_exchange" or solver == "cvode":
             raise ModelError(
-                f"{self._model.name}: process noise needs model.interface model_exchange and the "
-                f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
+                f"{self._model.name}: process noise needs model.interface = model_exchange and "
+                "model.solver = dormand_prince or rk4, but they are set to "
+                f"{self._model.interface} and {solver}"
             )
 
 

@@ -204,7 +204,7 @@ def experiment_from_table(
     role
         "train", or "test" for an experiment that is only predicted.
     groups
-        Labels by key, for parameters that are per "group:KEY".
+        Labels by key, for parameters with ``per = "group:KEY"``.
     gaps
         "split" lets what is behind a gap in which inputs may have moved begin with initial states
         of its own, which a fit estimates; "bridge" draws inputs through.
