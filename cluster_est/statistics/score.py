@@ -77,9 +77,34 @@ class ScoreTests:
         """p-value of each candidate alone, 1 for those set aside."""
         return np.exp(self.log_p)
 
+    def first(self, count: int) -> Self:
+        """Return the tests of the first candidates."""
+        stop = int(self.offsets[count])
+        return replace(
+            self,
+            **{name: getattr(self, name)[:count] for name in _PER_CANDIDATE},
+            bases=self.bases[:, :stop],
+            offsets=self.offsets[: count + 1],
+            coordinates=self.coordinates[:stop],
+        )
+
+    def with_more(self, more: Self) -> Self:
+        """Return these tests, and behind them those of further candidates of the same residual."""
+        joined = {n: np.concatenate([getattr(self, n), getattr(more, n)]) for n in _PER_CANDIDATE}
+        return replace(
+            self,
+            **joined,
+            bases=np.hstack([self.bases, more.bases]),
+            offsets=np.concatenate([self.offsets, self.offsets[-1] + more.offsets[1:]]),
+            coordinates=np.concatenate([self.coordinates, more.coordinates]),
+        )
+
     def without_bases(self) -> Self:
         """Return the tests alone: bases are by far the largest part."""
         return replace(self, bases=np.zeros((len(self.bases), 0)))
+
+
+_PER_CANDIDATE = ("statistics", "df", "ratio", "log_p", "explained")
 
 
 def score(

@@ -95,7 +95,7 @@ class OpenArguments:
             return [site.targets[0], *differences, *others]
         names = [*self.states, *self.driven, *(self.outputs if site.kind == "output" else ())]
         if site.kind == "derivative":
-            return [*names, *self.relative.get(site.target, ())]
+            return [*names, *self.relative.get(site.target, ()), *self.between_states]
         if site.kind == "parameter":
             return [*names, *dict.fromkeys(itertools.chain(*self.relative.values()))]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
@@ -128,6 +128,11 @@ class OpenArguments:
         pairs = itertools.combinations(self.states, 2)
         return [(a, b) for a, b in pairs if self.units[a] == self.units[b]]
 
+    @cached_property
+    def between_states(self) -> dict[str, tuple[str, str]]:
+        """The differences of two states of one unit, and the two."""
+        return {difference(*names): names for names in self._of_one_unit}
+
     def takes(self, form: EffectForm, site: EffectSite, argument: str) -> bool:
         """Return whether a form of one variable at a site may be a function of an argument."""
         if site.kind == "pair":
@@ -135,6 +140,8 @@ class OpenArguments:
             if form.free and first > second:  # the same curve upside down
                 return False
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
+        if argument in self.between_states and not form.differences:
+            return False
         if FormCondition.DRIVEN in form.when:
             return argument in self.driven
         if FormCondition.FEEDS in form.when:
@@ -145,6 +152,8 @@ class OpenArguments:
         if FormCondition.POSITION in form.when and self.speeds.get(argument) not in pushed:
             return False
         if FormCondition.NO_POSITION in form.when and argument in self.speeds.values():
+            return False
+        if FormCondition.OTHER in form.when and argument in pushed:
             return False
         return FormCondition.OWN not in form.when or argument in pushed
 
@@ -298,7 +307,8 @@ def open_places(
     """List the places at these sites that make physical sense in a model of many states.
 
     A force between two states is looked for where one of them acts on the other already, as a
-    function of their difference, of the first of them, or of a state that acts on both.
+    function of their difference, of the first of them, or of a state that acts on both. Of the
+    difference of two states something is a function only where both act already.
     """
     linear = [each.linear for each in trajectories if each.linear is not None]
     sizes = np.max([each.A.largest() for each in linear], axis=0)
@@ -307,7 +317,10 @@ def open_places(
     places = []
     for site in sites:
         names = arguments.at(site) if site.kind != "pair" else _between(site, index, acts)
-        names = [*names, TIME] if site.kind == "derivative" else names
+        if site.kind == "derivative":
+            row = acts[index[site.target]]
+            pairs = arguments.between_states
+            names = [n for n in names if all(row[index[x]] for x in pairs.get(n, ()))] + [TIME]
         places += [CandidatePlace(site, name) for name in names]
     return places
 
