@@ -61,7 +61,7 @@ def _gap(v: Any, k: float, at: float) -> Any:
 
 def _sigmoid(v: Any, half: float, n: float) -> Any:
     """Of Hill: nothing at values that are no amounts."""
-    return 1.0 / (1.0 + (half / np.maximum(v, 1e-300)) ** n)
+    return 1.0 / (1.0 + (half / np.maximum(v, 1e-30)) ** n)
 
 
 def _cut(s: Any, t: Any, k: float, width: float) -> Any:
