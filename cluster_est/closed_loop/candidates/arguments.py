@@ -13,12 +13,17 @@ import numpy as np
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, integrated_states
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
+from workers.effects.laws import Law
 from workers.effects.site import EffectSite, difference, is_difference
 from workers.fmu.description import ModelDescription
 
 ACTS = 1e-9
 """Share of a state's largest derivative below which something does not act on it."""
 
+
+FIRST_OF_READ = (Law.LINEAR, Law.SQUARE)
+"""Laws by which a parameter may follow an output at first: each is a simulation. Others are looked
+at where these lead."""
 
 TIME = ""
 """The argument of what depends on time alone: a constant, a drift, a wave."""
@@ -67,6 +72,8 @@ class OpenArguments:
     feeds
         For each output the inputs that act on it at once, and not by way of states: what is missing
         in such an output may be one more term of a balance.
+    read
+        In co-simulation, the outputs that a parameter may follow.
     """
 
     states: tuple[str, ...]
@@ -78,6 +85,7 @@ class OpenArguments:
     surroundings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     relative: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     feeds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    read: tuple[str, ...] = ()
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -97,7 +105,8 @@ class OpenArguments:
         if site.kind == "derivative":
             return [*names, *self.relative.get(site.target, ()), *self.between_states]
         if site.kind == "parameter":
-            return [*names, *dict.fromkeys(itertools.chain(*self.relative.values()))]
+            relative = dict.fromkeys(itertools.chain(*self.relative.values()))
+            return [*names, *self.read, *relative]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
     def around(self, site: EffectSite) -> list[tuple[str, str]]:
@@ -174,6 +183,7 @@ def open_arguments(
     signals = [{s.variable for s in e.signals} for e in problem.experiments]
     lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
     names = trajectories[0].names
+    outputs = tuple(n for n in names if n in common and n not in states)
     units = {name: description.variables[name].unit for name in states}
     pushed = _pushed(trajectories, states)
     around = _inputs_of_one_unit(description, units, pushed, common)
@@ -181,13 +191,14 @@ def open_arguments(
     return OpenArguments(
         states=states,
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
-        outputs=tuple(n for n in names if n in common and n not in states),
+        outputs=outputs,
         units=units,
         pushed=pushed,
         speeds=speeds,
         surroundings=_surroundings(around, pushed),
         relative=_relative(around, pushed, states, speeds),
         feeds=_feeds(trajectories, description),
+        read=() if exchange else outputs,
     )
 
 
@@ -289,6 +300,8 @@ def variables_of(
         pairs = arguments.around(site)
         return [p for p in pairs if leading is None or difference(*p) in leading]
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
+    if leading is None and site.kind == "parameter" and form.law not in FIRST_OF_READ:
+        names = [name for name in names if name not in arguments.read]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
     if FormCondition.OWN in form.when:

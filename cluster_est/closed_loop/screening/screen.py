@@ -72,9 +72,10 @@ PEAKS, PEAK_DISTANCE = 2, 0.1
 distance from which on two are different."""
 LATER_PLACES = 10
 """Leading places at which forms are tried that differ little from others."""
-CURVE_PLACES, PROBED_PLACES = 12, 4
-"""Places of leading free curves at which finer ones are looked at; the same where each value of a
-curve takes simulations of its own, as in co-simulation."""
+CURVE_PLACES = 12
+"""Places of leading free curves at which finer ones are looked at."""
+PROBED_PLACES = 4
+"""Both where each candidate takes simulations of its own, as in co-simulation."""
 
 
 @dataclass(frozen=True)
@@ -353,10 +354,11 @@ def _beside(
     """The candidates of the forms that are looked at later, at the places that lead."""
     scores = seen.plain
     rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
+    most = LATER_PLACES if fitter.by_linear_systems else PROBED_PLACES
     places: dict[CandidatePlace, None] = {}
     for i in np.argsort(-rank, kind="stable").tolist():
         candidate = seen.trials[i].candidate
-        if len(places) < LATER_PLACES and scores.df[i] and candidate.form.variables == 1:
+        if len(places) < most and scores.df[i] and candidate.form.variables == 1:
             places[CandidatePlace(candidate.site, *candidate.effect.variables)] = None
     known = {trial.candidate.effect: trial.candidate for trial in seen.trials}
     given = (fitted.problem, fitter.description, trajectories, ())
