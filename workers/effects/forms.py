@@ -456,7 +456,7 @@ _SIGNALS = (
     EffectForm("cut_off", "nonlinearity", Law.CUT_OFF, _SIGNAL,
          "s * (1 + tanh((abs(s) - k) / width)) / 2", (_LEVEL, _EDGE), order=0.5),
     # of an eccentric encoder or a cam
-    EffectForm("periodic", "ripple", Law.PERIODIC_ERROR, _OUT,
+    EffectForm("periodic", "nonlinearity", Law.PERIODIC_ERROR, _OUT,
          "s + a * sin(n * s) + b * cos(n * s)",
          _wave("site", _shape("n", "rad / site", GridScale.WAVES_V, *_WAVES)), order=1.5),
     EffectForm("backlash", "nonlinearity", Law.BACKLASH, _IN, "s", (_LEVEL,), memory="backlash"),
