@@ -37,6 +37,7 @@ ADDED: dict[str, Values] = {
     "stribeck": {"k": 0.5, "peak": 0.5, "vs": 0.2, **SWITCH},
     "signed_root": {"k": 1.0},
     "saturating": {"k": 1.2, "half": 0.25},
+    "hill_power": {"k": 1.0, "half": 0.4, "n": 4.0},
     "exponential": {"k": 1.0, "at": 1.0, "width": 0.3},
     "hinge": {"k": 1.5, "at": 0.3},
     "hinge_below": {"k": 1.5, "at": -0.3},
@@ -49,6 +50,7 @@ ADDED: dict[str, Values] = {
 
 CHARACTERISTICS: dict[str, Values] = {
     "dead_zone": {"k": 0.3},
+    "cut_off": {"k": 0.3, "width": 0.01},
     "saturation": {"limit": 0.6},
     "asymmetry": {"k": -0.5},
     "gain": {"k": -0.4},

@@ -82,6 +82,8 @@ class FormCondition(enum.Enum):
     OWN = "own"
     """Its variable, the first where it has two, is the state at whose derivative it acts, at an
     input one that this acts on."""
+    OTHER = "other"
+    """Its variable, the first where it has two, is no state that it pushes."""
     FIRST = "first"
     """Its variable is the first state of the pair."""
     FORCE = "force"
@@ -188,6 +190,12 @@ class EffectForm:
         Conditions under which a search should try it; all must hold.
     order
         The form of lower order is taken where the data do not tell two apart.
+    differences
+        At a derivative its variable may also be the difference of two states of one unit; others
+        are looked for at pairs.
+    later
+        A search looks at it only where another function of its argument leads, from which it
+        differs little: it counts as looked at there alone.
     values
         Of a free curve: the number of points that it is made of.
     finer_than
@@ -206,6 +214,8 @@ class EffectForm:
     memory: str = ""
     when: tuple[FormCondition, ...] = ()
     order: float = 0.0
+    differences: bool = False
+    later: bool = False
     values: int = 0
     finer_than: str = ""
 

@@ -316,6 +316,7 @@ class Simulator:
                     with_memory,
                     bound_effects.recorded,
                     passing=False,  # their samples are not those of the inputs any more
+                    seen=bound_effects.seen,
                 )
             effects = bound_effects.at_points(
                 values[chunk], coefficients[chunk], self._model, self._description

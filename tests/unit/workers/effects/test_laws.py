@@ -66,6 +66,10 @@ def ends_flat(f: Function) -> bool:
     )
 
 
+def ends_as_it_is(f: Function) -> bool:
+    return same(f(FAR), FAR) and same(f(-FAR), -FAR)
+
+
 def is_switch(f: Function, width: float) -> bool:
     """Half of its level is reached where a tanh of this width does."""
     return ends_flat(f) and is_odd(f) and same(f(np.arctanh(0.5) * width), 0.5 * f(FAR[0]))
@@ -86,6 +90,13 @@ CLAIMS: dict[Law, Callable[[Function, Values], bool]] = {
     Law.EXPONENTIAL: lambda f, c: is_exponential(f) or is_exponential(lambda x: f(x) + 1.0),
     Law.SATURATING: lambda f, c: is_affine(lambda u: 1.0 / f(1.0 / u)),
     Law.HILL: lambda f, c: is_affine(lambda u: 1.0 / f(1.0 / np.sqrt(u))),
+    Law.HILL_POWER: lambda f, c: {"n", "half"} <= set(c)
+    and is_affine(lambda u: 1.0 / f(u ** (-1.0 / c["n"]))),
+    Law.ARRHENIUS: lambda f, c: "zero" in c and is_affine(
+        lambda u: np.log(f(1.0 / u - c["zero"]) + 1.0)
+    ),
+    Law.CUT_OFF: lambda f, c: ends_as_it_is(f)
+    and bool(np.abs(f(0.3 * c.get("at", 0.0) * np.linspace(-1.0, 1.0, 9))).max() < 1e-6),
     Law.ABOVE: lambda f, c: is_ramp(f, c.get("at", 0.0), 1.0),
     Law.BELOW: lambda f, c: is_ramp(f, c.get("at", 0.0), -1.0),
     Law.ABOVE_BY_POWER: lambda f, c: "at" in c
@@ -119,12 +130,14 @@ OF_SIGNALS = {
     Law.POWER_CHARACTERISTIC: (Law.POWER, True), Law.LEVELLING: (Law.SATURATING, True),
     Law.DEAD_ZONE: (Law.GAP, True), Law.SATURATION: (Law.CLIPPED, True),
     Law.LIMIT_ABOVE: (Law.ABOVE, False), Law.LIMIT_BELOW: (Law.BELOW, False),
+    Law.CUT_OFF: (Law.CUT_OFF, True), Law.PERIODIC_ERROR: (Law.PERIODIC, False),
 }  # fmt: skip
 """The law of what a signal becomes, or of what it is changed by: a limit from above takes away what
 is beyond it."""
 
 STATES = {
-    Law.LAGGED: (("0", "v"), "v"), Law.LAGGED_SQUARE: (("0",), "v^2"),
+    Law.LAGGED: (("0", "v"), "v"), Law.DELAYED: (("v", "0", "0", "0"), "v"),
+    Law.LAGGED_SQUARE: (("0",), "v^2"),
     Law.PERIODIC_TRAVEL: (("0",), ""), Law.HYSTERESIS: (("0",), ""),
     Law.FIRST_ORDER_LAG: (("s",), "s"), Law.FIRST_ORDER_LAG_FROM_ZERO: (("0",), "s"),
     Law.STORE: (("v",), "v"), Law.STORE_FROM_ZERO: (("0",), "v"),
@@ -192,7 +205,7 @@ def test_one_law_is_true_of_a_function_of_one_variable(form):
     assert true_of(read(form, form.equation, over, whole=whole), values) == {own}
 
 
-PLACED = (Law.DEAD_ZONE, Law.SATURATION, Law.LIMIT_ABOVE, Law.LIMIT_BELOW)
+PLACED = (Law.CUT_OFF, Law.DEAD_ZONE, Law.SATURATION, Law.LIMIT_ABOVE, Law.LIMIT_BELOW)
 
 
 @pytest.mark.parametrize("form", having(lambda f: plain(f) and f.variables == 2))
