@@ -39,6 +39,7 @@ from typing import Any, get_args
 
 from closed_loop_benchmark.activity import noted_parts, saved
 from closed_loop_benchmark.data import Data, Sampling, make, make_problem
+from closed_loop_benchmark.form_subsets import FormSubset, violations
 from closed_loop_benchmark.memory import remembering
 from closed_loop_benchmark.oracle import ask
 from closed_loop_benchmark.parts import paired, parts_page
@@ -66,12 +67,21 @@ class Way:
     remembers
         Answer from memory what another loop on the same case has simulated, and note the parts of
         the search that did something.
+    subset
+        Forms to try on each case; None for the whole library.
     """
 
     settings: LoopSettings
     sampling: Sampling
     thinning: ThinningSettings
     remembers: bool = False
+    subset: FormSubset | None = None
+
+    def settings_for(self, case: Scenario) -> LoopSettings:
+        """Return the settings, with the forms that are drawn for a case where some are."""
+        if self.subset is None:
+            return self.settings
+        return self.settings.changed(effects=self.subset.forms(case))
 
 
 @dataclass(frozen=True)
@@ -109,6 +119,8 @@ def main() -> int:
     complete(options, portions, variants_of(options))
     if options.ablation:
         print(paired(read_parts(options.out)))
+    if options.subsets:
+        print(violations(read_parts(options.out))[0])
     return 0
 
 
@@ -119,13 +131,18 @@ def variants_of(options: argparse.Namespace) -> list[Variant]:
         LoopSettings(beam=options.beam, without=options.without),
         Sampling(options.rate, options.jitter),
         ThinningSettings(rows=rows),
-        remembers=bool(options.ablation),
+        remembers=bool(options.ablation or options.subsets or options.lacking),
     )
     found = [Variant(WHOLE, whole, options.out)]
     for label in options.ablation:
         left_out = whole.settings.changed(without=(*options.without, *label.split("+")))
         file = options.out.with_name(f"{options.out.stem}{WITHOUT}{label}.jsonl")
         found.append(Variant(label, replace(whole, settings=left_out), file))
+    subsets = [FormSubset("with", n) for n in range(1, options.subsets + 1)]
+    subsets += [FormSubset("lacking", n) for n in range(1, options.lacking + 1)]
+    for subset in subsets:
+        file = options.out.with_name(f"{options.out.stem}{WITHOUT}{subset.label}.jsonl")
+        found.append(Variant(subset.label, replace(whole, subset=subset), file))
     return found
 
 
@@ -190,6 +207,12 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--parts-page", type=Path, help="write the page about parts left out and run nothing"
+    )
+    parser.add_argument(
+        "--subsets", type=int, default=0, help="loops with half of the forms, the answer among them"
+    )
+    parser.add_argument(
+        "--lacking", type=int, default=0, help="loops without the forms of an effect that lacks"
     )
     parser.add_argument("--rate", type=int, default=1, help="samples for each, in as much noise")
     parser.add_argument("--jitter", type=float, default=0.0, help="of sample times, over a step")
@@ -310,6 +333,8 @@ def known_without(whole: Score, variant: Variant) -> Score | None:
 
     Their simulations are missing in it; None where the parts changed something. An error stays one.
     """
+    if variant.way.subset is not None:
+        return None
     parts = {*variant.label.split("+")}
     if not whole.error and (whole.active is None or parts & {*whole.active}):
         return None
@@ -338,13 +363,14 @@ def made(case: Scenario, sampling: Sampling) -> tuple[Problem, Data]:
 def run_case(case: Scenario, way: Way) -> Score:
     """Close the loop on a case and score it; its seconds are those of the processor."""
     problem, data = made(case, way.sampling)
+    settings = way.settings_for(case)
     try:
         begin = time.process_time()
         if way.remembers:
             with remembering(case.name) as resources, noted_parts() as notes:
-                result = close_loop(problem, resources, way.settings, thinning=way.thinning)
+                result = close_loop(problem, resources, settings, thinning=way.thinning)
         else:
-            result = close_loop(problem, settings=way.settings, thinning=way.thinning)
+            result = close_loop(problem, settings=settings, thinning=way.thinning)
         result = replace(result, seconds=time.process_time() - begin)
         own = score(data, result, ask(data, result.before.problem))
     except Exception:  # one bad case must not end the others, and its traceback is kept

@@ -6,9 +6,10 @@
     python scripts/league.py convert FOLDER
 
 `run` does what has not been done yet, with default settings: two fits and a closed loop of each
-case of `configs/league`. `page` writes what came of them, with a picture of each case. `convert`
-writes the tables that some configs need into a folder, which CLUSTER_EST_CONVERTED must name if
-these configs are to be used by themselves; `run` does so by itself.
+case of `configs/league`, and a fit and a closed loop of each case on an official split. `page`
+writes what came of them, with a picture of each case. `convert` writes the tables that some configs
+need into a folder, which CLUSTER_EST_CONVERTED must name if these configs are to be used by
+themselves; `run` does so by itself.
 
 The data are not part of this project: cluster_est/docs/measured_data.md says where they go.
 """
@@ -21,7 +22,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from measured_league.cases import LeagueCase, all_cases, convert
+from measured_league.cases import LeagueCase, all_cases, convert, official_cases
 from measured_league.page import read_judgements, write_page
 from measured_league.runs import DATA, Kind, run_cases
 
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def chosen_cases(only: Sequence[str]) -> list[LeagueCase]:
     """The cases of these names, or all."""
-    cases = all_cases()
+    cases = [*all_cases(), *official_cases()]
     unknown = set(only) - {case.name for case in cases}
     if unknown:
         names = ", ".join(case.name for case in cases)

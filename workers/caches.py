@@ -47,8 +47,9 @@ def cache_folder(kind: str, chosen: str = "") -> Path:
                 _replaced[meant] = str(base)
             return base / kind
     raise ModelError(
-        f"caches: need a folder that this user can write, but neither {meant or 'a home'} nor the "
-        f"folder for temporary files is one; set {KEY} to one"
+        f"caches: need a folder that you can write to, but neither {meant or 'a home folder'} nor "
+        f"the folder for temporary files can be written to; set {KEY} to a folder that you can "
+        "write to"
     )
 
 

@@ -280,7 +280,10 @@ def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
 
 def _where_not_finite(bound: BoundExperiment, outputs: FloatArray) -> str:
     if np.isfinite(outputs).all():
-        return "the outputs are finite but too large for their residuals or constraints"
+        return (
+            "the outputs are finite, but so large that the residuals or constraints computed "
+            "from them overflow"
+        )
     row, column = np.argwhere(~np.isfinite(outputs))[0]
     return (
         f"output {bound.outputs[column]!r} is {outputs[row, column]} from "

@@ -142,7 +142,7 @@ class Criterion:
         meant = f"{meant} I" if meant.endswith("?") else "; i"
         named = f"{field.name} is one of {', '.join(words)}; " if field and words else ""
         raise ConfigError(
-            f"--fail-if: {first!r} must be a field of {self._command} but is none{meant}ts fields "
+            f"--fail-if: {first!r} must be a field of {self._command} but is not{meant}ts fields "
             f"are {', '.join(self._fields)}; {named}put text in quotes"
         )
 

@@ -83,7 +83,11 @@ _OF_RUN = (
         "root mean square of the training errors over sigma; in a closed loop, over the "
         "`errors_over` of `facts`; without a sigma, in the units of the outputs",
     ),
-    DocumentField("rmse_test", "number", "the same for the held-out experiments"),
+    DocumentField(
+        "rmse_test",
+        "number",
+        "root mean square of the held-out errors, in the unit of `rmse_train`",
+    ),
     DocumentField("verdict", "text", "of a closed loop", verdicts),
     DocumentField("summary", "text", "result of a closed loop or a design, as a sentence"),
     DocumentField("effects", "list", "names of the effects that a closed loop has added"),
@@ -139,7 +143,11 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     ),
     "show": (
         *_OF_RUN,
-        DocumentField("iteration_rows", "list", "with --iterations or --search: rows of it"),
+        DocumentField(
+            "iteration_rows",
+            "list",
+            "with --iterations or --search: the rows of the iteration table",
+        ),
         DocumentField(
             "failed", "list", "with --failures: failed simulations, each with its `number`"
         ),

@@ -34,11 +34,11 @@ SITES: dict[SiteKind, tuple[str, str]] = {
 """How a site of each kind is written, and what an equation does there."""
 SYMBOLS = (
     "In the equations, `v` and `w` are the variables that an effect is a function of, `t` is the "
-    "time, and `z` and `y` are internal states. In the units, `site` is the unit of the result "
-    "of the equation, and `other` that of the second derivative. A strength has no influence at "
-    "0, unless another value is given. A coefficient that the closed loop holds keeps its value "
-    "when the effect is fitted; a coefficient that you declare is fitted unless it has `fixed = "
-    "true`."
+    "time, and `z`, `y` and `e` are internal states. In the units, `site` is the unit of the "
+    "result of the equation, and `other` that of the second derivative. A strength has no "
+    "influence at 0, unless another value is given. A coefficient that the closed loop holds keeps "
+    "its value when the effect is fitted; a coefficient that you declare is fitted unless it has "
+    "`fixed = true`."
 )
 EVERY_FORM = FORMS | PROCESS_NOISE
 
@@ -100,7 +100,11 @@ def _tried(coefficient: FormCoefficient) -> str:
     if coefficient.scale is None or not coefficient.grid:
         return "a number"
     values = ", ".join(f"{each:g}" for each in coefficient.grid[:3])
-    scale = "" if coefficient.scale.name == "EXPONENT" else f" x {coefficient.scale.value}"
+    scale = (
+        ""
+        if coefficient.scale.name in ("EXPONENT", "NUMBER", "DAMPING")
+        else f" x {coefficient.scale.value}"
+    )
     return f"such as {values}{scale}"
 
 
@@ -149,7 +153,7 @@ def forms(options: Namespace, answer: Answer) -> int:
     answer.say("")
     answer.say(SYMBOLS.replace("`", ""))
     if options.form is None:
-        answer.say("one of them, with a block for a config: cluster-est forms FORM")
+        answer.say("to describe one form, with a block for a config: cluster-est forms FORM")
     return ExitCode.DONE
 
 

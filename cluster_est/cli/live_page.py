@@ -43,13 +43,14 @@ def browse(options: Namespace, answer: Answer) -> None:
     """
     if options.json:
         raise RunFolderError(
-            "--browser: goes on until Ctrl-C, so that there is no document; leave --json out"
+            "--browser: must be used without --json, because it serves a page until Ctrl-C and "
+            "prints no document; remove one of the two"
         )
     folder: Path = options.run_folder
     if not (folder / "run.json").is_file() and not runs_below(folder):
         raise RunFolderError(
-            f"{folder}: must be the folder of a run, or of runs, but has no run.json and none in "
-            "the folders below it"
+            f"{folder}: must be the folder of a run, or of several runs, but neither this folder "
+            "nor a folder in it has a run.json"
         )
     page = LivePage(folder, options.port, options.config, allow_code=options.allow_code)
     try:

@@ -213,7 +213,7 @@ def make_parser() -> argparse.ArgumentParser:
         "write the report of a run or a sweep, one HTML file that needs no network",
     )
     _with_run(report, "folder of the run or of the sweep")
-    report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
+    report.add_argument("--out", type=Path, help="file to write; default: RUN/report.html")
     _add_watch(commands)
     _add_export(commands)
     _add_sweep(commands)
@@ -327,7 +327,8 @@ def _add_design(commands: Commands) -> None:
         "--out",
         type=Path,
         required=True,
-        help="table to write the input to (.csv); its run folder has the same name without .csv",
+        help="table to write the input to (.csv); the run folder of the design has the same name "
+        "without .csv",
     )
     design.add_argument(
         "--predict",
@@ -353,7 +354,8 @@ def _add_existing(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--browser",
         action="store_true",
-        help="show the run in a browser while it goes on, at an address of this machine alone",
+        help="show the run in a browser while it goes on, at an address that only this machine "
+        "can reach",
     )
 
 
@@ -362,17 +364,23 @@ def _add_watch(commands: Commands) -> None:
         "follow a run from another terminal or machine, through its folder; with --json "
         "print the state once"
     )
-    watch = _with_run(_command(commands, "watch", summary), "folder of the run; or of runs")
+    watch = _with_run(
+        _command(commands, "watch", summary), "folder of a run, or a folder of several runs"
+    )
     how = watch.add_mutually_exclusive_group()
     how.add_argument("--html", action="store_true", help="also update RUN/report.html")
     how.add_argument(
         "--browser",
         action="store_true",
-        help="serve a page with cost, parameters, curves, workers and failures, at an address of "
-        "this machine alone, until Ctrl-C; of a folder of runs, they stand side by side",
+        help="serve a page with cost, parameters, curves, workers and failures, until Ctrl-C, at "
+        "an address that only this machine can reach; for a folder of runs, the page shows "
+        "all of them",
     )
     watch.add_argument(
-        "--port", type=_port, default=0, help="of --browser; without: any that is free"
+        "--port",
+        type=_port,
+        default=0,
+        help="port of the page of --browser; default: any free port",
     )
     watch.add_argument(
         "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
@@ -381,7 +389,7 @@ def _add_watch(commands: Commands) -> None:
 
 
 def _add_sweep(commands: Commands) -> None:
-    sweep = _command(commands, "sweep", "do every run of a sweep that is not done yet")
+    sweep = _command(commands, "sweep", "do all runs of a sweep that are not done yet")
     sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
     sweep.add_argument(
         "--out", type=Path, required=True, help="folder with a run folder for each run"
@@ -412,8 +420,8 @@ def _add_export(commands: Commands) -> None:
     export.add_argument(
         "--no-step",
         action="store_true",
-        help="do not look for the communication step that reproduces the error of the run "
-        "(this takes some seconds)",
+        help="skip the search for a communication step that reproduces the error of the run; the "
+        "search takes some seconds",
     )
     export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
     export.add_argument(

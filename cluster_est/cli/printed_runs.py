@@ -180,7 +180,7 @@ def _failed(facts: Facts) -> str:
     if not tried:
         return f"{failed} failed"
     which = "all" if tried == failed else str(tried)
-    return f"{failed} failed, {which} while effects were tried"
+    return f"{failed} failed, {which} of them in the search for effects"
 
 
 def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:

@@ -126,8 +126,8 @@ def rendered(view: RunView) -> Group:
     if not view.ended and view.quiet > QUIET_SECONDS:
         parts.append(
             Text(
-                f"nothing has arrived for {duration(view.quiet)}, not even a sign that "
-                "the run is alive"
+                f"the run has written nothing for {duration(view.quiet)}, although it should "
+                "write once a second: it may hang, or have been killed"
             )
         )
     if view.searches:

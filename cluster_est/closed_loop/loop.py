@@ -27,7 +27,12 @@ from cluster_est.closed_loop.long_records import (
     search_and_keep,
     thinned_records,
 )
-from cluster_est.closed_loop.outliers import open_checked_workbench, without_stand_ins
+from cluster_est.closed_loop.outliers import (
+    left_out_sentence,
+    open_checked_workbench,
+    samples_left_out,
+    without_stand_ins,
+)
 from cluster_est.closed_loop.process_noise import close_loop_under_noise
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import LoopRequest, check_arguments
@@ -143,7 +148,14 @@ def run_loop(request: LoopRequest) -> LoopResult:
     more = (*searched.error.notes, *with_effects)
     notes = (*more, *result.notes, *expensive_structures(searched.found.path))
     seconds, failures = time.monotonic() - begin, searched.failures
-    result = replace(result, notes=notes, seconds=seconds, failures_in_search=failures)
+    left_out = samples_left_out(request.problem, result.after.problem)
+    result = replace(
+        result,
+        notes=(*notes, *left_out_sentence(left_out)),
+        seconds=seconds,
+        failures_in_search=failures,
+        left_out=left_out,
+    )
     return _with_data_findings(_with_interpolation(result, found.interpolation), said)
 
 

@@ -16,6 +16,7 @@ from cluster_est.closed_loop.output_noise import measured_values, noise_of
 from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopScope, LoopWorkbench, open_workbench
+from cluster_est.problem.display import in_a_row
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import answers_to_inputs
 from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
@@ -167,6 +168,40 @@ def without_stand_ins(problem: Problem) -> Problem:
         return output.only(kept) if found and kept.any() else output
 
     return with_outputs(problem, change) if problem.data_findings else problem
+
+
+def samples_left_out(measured: Problem, used: Problem) -> dict[str, dict[str, list[float]]]:
+    """Return times of the samples that one problem has and another has not, by record and output.
+
+    They are what `left_out` of an experiment says.
+    """
+    found: dict[str, dict[str, list[float]]] = {}
+    for run, kept in zip(measured.experiments, used.experiments, strict=True):
+        for output, own in zip(run.outputs, kept.outputs, strict=True):
+            gone = np.setdiff1d(output.times, own.times)
+            if len(gone):
+                record = found.setdefault(run.record_id, {})
+                record.setdefault(output.variable, []).extend(gone.tolist())
+    return found
+
+
+MOST_WRITTEN = 12
+"""Times of samples that a note writes out."""
+
+
+def left_out_sentence(left_out: Mapping[str, Mapping[str, Sequence[float]]]) -> tuple[str, ...]:
+    """Say which keys let a fit leave out the same samples; nothing where there are none."""
+    if not left_out:
+        return ()
+    keys = [
+        f"{dotted('left_out', output)} = [{', '.join(f'{time:.10g}' for time in times)}] to "
+        f"experiment {record!r}"
+        for record, outputs in left_out.items()
+        for output, times in outputs.items()
+    ]
+    count = sum(len(times) for outputs in left_out.values() for times in outputs.values())
+    which = in_a_row(keys) if count <= MOST_WRITTEN else "what left_out of run.json lists"
+    return (f"for a fit to the same samples, add {which}",)
 
 
 def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutput]:

@@ -179,24 +179,25 @@ def _check_shape(problem: Problem) -> None:
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
             "closed loop: must have the cost sse, outputs measured over time and no constraints, "
-            "because its tests are made for these, but has something else; remove it, and use it "
-            "in a fit before or after"
+            "because the tests of the closed loop are made for these, but has something else; "
+            "remove that, and use it in a fit before or after the closed loop"
         )
     for experiment in problem.experiments:
         for output in experiment.outputs:
             if not output.is_plain:
                 raise ProblemError(
                     f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
-                    "compared as it is, because its tests treat residuals as differences, but "
-                    f'has {NOT_PLAIN}; a scale that all experiments share (free_scale = "shared") '
-                    "is allowed"
+                    "compared directly, because the tests of the closed loop need residuals that "
+                    f"are plain differences, but has {NOT_PLAIN}; only a scale that all "
+                    'experiments share (free_scale = "shared") is allowed'
                 )
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(
                 f"closed loop: {dotted('parameters', parameter.name)}.prior must be left out, "
-                "because its tests treat all residuals as those of measurements; remove it here, "
-                "and use it in a fit with the effects that were found"
+                "because the tests of the closed loop treat all residuals as those of "
+                "measurements; remove the prior, and use it in a fit with the effects that were "
+                "found"
             )
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)

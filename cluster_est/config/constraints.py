@@ -320,7 +320,7 @@ def _check_limits(section: ConstraintSection, where: str, measured: set[str]) ->
             )
     if section.tracking is not None and section.signal not in measured:
         raise ConfigError(
-            f"{where}.signal: must be measured in some experiment, because the band is around "
-            f"what is measured, but {section.signal!r} is not"
-            f"{nearest(section.signal, sorted(measured))}"
+            f"{where}.signal: must be measured in at least one experiment, because the band lies "
+            f"around the measured signal, but {section.signal!r} is "
+            f"not{nearest(section.signal, sorted(measured))}"
         )

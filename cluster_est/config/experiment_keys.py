@@ -49,17 +49,18 @@ class OutputSection(ConfigSection):
     weight: Finite = Field(1.0, gt=0.0, description="weight of its squares in the cost")
     free_scale: Free = Field(
         False,
-        description="true: known up to a factor, which is computed in closed form for each "
-        'experiment; "shared": one factor for all experiments, estimated as '
+        description="true: the output is known up to a factor, which is computed in closed form "
+        'for each experiment; "shared": one factor for all experiments, estimated as '
         "sensor_OUTPUT.scale",
     )
     free_offset: Free = Field(
         False,
-        description="true: known up to an added constant, which is computed for each experiment; "
-        '"shared": one for all experiments, estimated as sensor_OUTPUT.offset',
+        description="true: the output is known up to an added constant, which is computed for "
+        'each experiment; "shared": one for all experiments, estimated as '
+        "sensor_OUTPUT.offset",
     )
     detection_limit: Finite | None = Field(
-        None, description="measured values at or below it count as not detected"
+        None, description="measured values at or below this limit count as not detected"
     )
     ordinal: Ordinal = Field(
         False,
@@ -73,9 +74,13 @@ class ColumnSection(ConfigSection):
     """Conversion of a column of the data."""
 
     factor: Finite = Field(1.0, description="factor by which the column is multiplied")
-    offset: Finite = Field(0.0, description="offset that is added afterwards, in the new unit")
+    offset: Finite = Field(
+        0.0, description="offset added after the multiplication, in the new unit"
+    )
     demean: bool = Field(False, description="true: first subtract the mean of the used rows")
-    late: Finite = Field(0.0, description="delay of its times in seconds, which is subtracted")
+    late: Finite = Field(
+        0.0, description="delay of the column in seconds, which is subtracted from its times"
+    )
 
 
 class CurveSection(ConfigSection):
@@ -140,7 +145,7 @@ class _ExperimentKeys(ConfigSection):
         None, description="column that names the test of a row: one experiment for each test"
     )
     split_value: str | None = Field(
-        None, description="the value of that column for the test to use"
+        None, description="value in the column split_by of the test to use"
     )
     time: str | None = Field(
         None,
@@ -190,6 +195,11 @@ class _ExperimentKeys(ConfigSection):
         description="FMU output = noise relative to the measured value, in addition to sigma: "
         "sqrt(sigma^2 + (relative_sigma value)^2)",
     )
+    left_out: dict[str, list[Finite]] = Field(
+        default_factory=dict,
+        description="FMU output = times in seconds of samples that do not count, such as outliers; "
+        "close-loop says which it left out",
+    )
     start: Finite | None = Field(
         None, description="start of the simulation in seconds; default: the first time in the data"
     )
@@ -197,18 +207,25 @@ class _ExperimentKeys(ConfigSection):
         None, description="end of the simulation in seconds; default: the last measured time"
     )
     warm_up: Finite = Field(
-        0.0, ge=0.0, description="time in seconds after start that does not count"
+        0.0,
+        ge=0.0,
+        description="measurements within this time after start, in seconds, do not count",
     )
     weight: Finite = Field(1.0, gt=0.0, description="weight of its squares in the cost")
     windows: list[Pair] = Field(
-        default_factory=list, description="[[from, to], ...]: intervals in seconds that count"
+        default_factory=list,
+        description="[[from, to], ...]: only measurements in these intervals, in seconds, count",
     )
     test_windows: list[Pair] = Field(
         default_factory=list,
-        description="[[from, to], ...]: intervals in seconds that are held out, and reported as an "
-        'experiment "ID (held out)"',
+        description="[[from, to], ...]: measurements in these intervals, in seconds, are held "
+        'out, and reported as an experiment "ID (held out)"',
     )
-    role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
+    role: Literal["train", "test"] = Field(
+        "train",
+        description="test: the experiment is held out; its errors are reported, but no "
+        "shared value is fitted to it",
+    )
     gaps: GapRule = Field(
         "split",
         description="treatment of gaps in rows or cells: split: after a gap in which inputs may "
@@ -219,7 +236,7 @@ class _ExperimentKeys(ConfigSection):
         default_factory=dict, description="known values of this experiment, by FMU name"
     )
     group: Annotated[dict[str, str], BeforeValidator(as_group)] = Field(
-        default_factory=dict, description='KEY = "label" for parameters that are per "group:KEY"'
+        default_factory=dict, description='KEY = "label", for parameters with per = "group:KEY"'
     )
     columns: dict[str, ColumnSection] = Field(
         default_factory=dict, description="column = { factor, offset, demean }"

@@ -29,6 +29,7 @@ from cluster_est.problem.tables.measured import (
     MeasuredColumns,
     TableSource,
     interval,
+    without_samples,
 )
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import by_column
@@ -261,8 +262,11 @@ def _output(
     if isinstance(how.ordinal, list):
         columns = with_grades(columns, variable, how.column, how.ordinal)
     sigma, relative = section.sigma.get(variable, 1.0), section.relative_sigma.get(variable, 0.0)
+    clock = Clock(section.time, how.time)
+    found = columns.output(times, variable, how.column, sigma, relative, clock)
+    where = f"experiment {section.id!r}.{dotted('left_out', variable)}"
     return replace(
-        columns.output(times, variable, how.column, sigma, relative, Clock(section.time, how.time)),
+        without_samples(found, section.left_out.get(variable, ()), where),
         free_scale=how.free_scale is True,  # shared ones are effects
         free_offset=how.free_offset is True,
         detection_limit=how.detection_limit,

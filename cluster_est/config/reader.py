@@ -166,6 +166,9 @@ def _wrong_sigmas(where: str, experiment: ExperimentSection) -> Iterator[str]:
         for name in getattr(experiment, key):
             if name not in experiment.outputs:
                 yield sigma_without_output(f"{where}.{key}", name, experiment.outputs)
+    for name in experiment.left_out:
+        if name not in experiment.outputs:
+            yield sigma_without_output(f"{where}.left_out", name, experiment.outputs)
     for name in experiment.relative_sigma:
         if name in experiment.outputs and name not in experiment.sigma:
             yield relative_without_sigma(where, name)

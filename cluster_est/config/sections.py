@@ -121,7 +121,7 @@ class ConstraintSection(ConfigSection):
         description="constraint on parameters: two formulas with <=, >= or = between them, such as "
         '"mu_d <= mu_s"',
     )
-    signal: str = Field("", description="variable of the FMU that is limited")
+    signal: str = Field("", description="name of the variable of the FMU that is limited")
     function: str = Field(
         "",
         description='"module:name" of a Python function that returns a number that must be at '
@@ -132,7 +132,8 @@ class ConstraintSection(ConfigSection):
     upper: Level | None = Field(None, description="number, or [[time, value], ...]")
     step_response: StepSection | None = Field(None, description="envelope of a step response")
     tracking: TrackingSection | None = Field(
-        None, description="band around the measured signal, in each experiment that has it"
+        None,
+        description="band around the measured signal, in each experiment in which it is measured",
     )
     final: Finite | None = Field(None, description="value at the end of the simulation")
     tolerance: Finite = Field(
@@ -143,7 +144,7 @@ class ConstraintSection(ConfigSection):
     )
     samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
     scale: Finite | None = Field(
-        None, gt=0.0, description="unit of a violation; default: the size of the limits"
+        None, gt=0.0, description="divisor of a violation; default: the size of the limits"
     )
     experiments: list[str] = Field(
         default_factory=list, description="ids of the experiments; default: all"
@@ -278,7 +279,9 @@ class ParameterSection(ConfigSection):
         "there is an expression",
     )
     bounds: Bounds = Field((float("-inf"), float("inf")), description="[lower, upper]")
-    scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
+    scale: Literal["linear", "log"] = Field(
+        "linear", description="log: methods work with ln(value)"
+    )
     fixed: bool = Field(False, description="true: keep it fixed at its start")
     variable: str = Field("", description="name of the variable in the FMU; default: the key")
     per: str | None = Field(
@@ -286,7 +289,7 @@ class ParameterSection(ConfigSection):
         description='"experiment" or "group:KEY": a separate value for each experiment or group; '
         "default: one shared value",
     )
-    unit: str = Field("", description="for tables; default: the FMU's")
+    unit: str = Field("", description="unit shown in tables; default: the FMU's")
     expression: str = Field(
         "", description='formula in other parameters, instead of start, such as "2 * k1"'
     )
@@ -317,8 +320,9 @@ class CoefficientSection(ConfigSection):
     )
     scale: Literal["linear", "log"] | None = Field(
         None,
-        description="log: methods see ln(value); default: log for a time constant, a width, a "
-        "speed or a frequency whose start and bounds are above 0, else linear",
+        description="log: methods work with ln(value); default: log for a time constant, a "
+        "width, a speed or a frequency whose start and bounds are above 0, else "
+        "linear",
     )
     fixed: bool = Field(False, description="true: keep it fixed at its start")
     neutral: Finite | None = Field(

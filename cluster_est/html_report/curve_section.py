@@ -252,9 +252,9 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
         )
         of = "all" if full == long else f"{full} of {long}"
         said += (
-            f"On zooming in, every sample appears in {of} of the long records."
+            f"Zooming in shows every sample in {of} of the long records."
             if full
-            else "On zooming in, no others appear."
+            else "Zooming in shows no other samples."
         )
         said += " residuals.parquet in the run's folder has them all." if full < long else ""
     else:

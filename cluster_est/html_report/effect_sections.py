@@ -230,9 +230,9 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 LEFT_OUT = (
     '"Left out" is the error of cross-validation on the training data; "held out" is the error '
-    "on held-out experiments over the noise. Both are given for sets that the search accepted. "
-    "The answer is the set with the best cross-validation; held-out experiments do not choose "
-    "it, but may reject it."
+    "on held-out experiments over the noise. Only sets that the search accepted have these two "
+    "errors. The answer is the set with the best cross-validation; held-out experiments do not "
+    "choose it, but may reject it."
 )
 
 

@@ -251,8 +251,8 @@ def errors(run: ReportedRun) -> ReportSection:
     if not rows:
         return ReportSection("errors", "Errors", ())
     said = (
-        f"Root mean square of measured minus simulated. Before: {run.before}. Of the signal: "
-        "the error after as a share of the measured signal's standard deviation."
+        f'Root mean square of measured minus simulated. Before: {run.before}. The column "of the '
+        "signal\" has the error after as a share of the measured signal's standard deviation."
     )
     folded = len(rows) > MOST_UNFOLDED_ROWS
     picture = error_picture(run)

@@ -27,15 +27,15 @@ class ReportSummary:
 LOOP_VERDICTS: dict[str, tuple[str, Tone]] = {
     "found": ("Found", "good"),
     "partial": ("Found in part", ""),
-    "unexplained": ("Something is missing, and nothing explains it", "bad"),
-    "none": ("Nothing is missing that these data show", "good"),
-    "none (coloured noise)": ("What is left looks like coloured noise of a sensor", "good"),
+    "unexplained": ("Something is missing, and no effect explains it", "bad"),
+    "none": ("These data do not show that anything is missing", "good"),
+    "none (coloured noise)": ("The remaining error looks like coloured noise of a sensor", "good"),
 }
 FIT_VERDICTS = {"done": "Fitted", "not converged": "The fit did not converge"}
 ENDINGS: dict[str, tuple[str, Tone]] = {
     "interrupted": ("The run was interrupted", "bad"),
     "failed": ("The run failed", "bad"),
-    RunStatus.RUNNING: ("The run goes on", ""),
+    RunStatus.RUNNING: ("The run is in progress", ""),
 }
 NEAR_NOISE = 1.5
 """Error over the noise up to which a fit follows the data as well as the noise allows."""
@@ -90,7 +90,7 @@ def _ranked(run: ReportedRun) -> str:
     rows = [row for row in run.tables["ranking"] if row["value"] is not None]
     known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
     if not known:
-        return "Nothing moves the cost between the bounds of the parameters"
+        return "No parameter changes the cost within its bounds"
     if len(run.tables["ranking"]) == 1:
         return f"The cost depends on {known[0]}"
     then = f", then {' and '.join(known[1:3])}" if known[1:] else ""
@@ -105,8 +105,11 @@ def _designed(run: ReportedRun) -> str:
     if rows:
         told = sum(row["after"] > max(LIKELY, row["before"]) for row in rows)
         if not told:
-            return f"{said}; distinguishes no model from its rivals"
-        return f"{said}; distinguishes {told} of {len(rows)} models from its rivals, if right"
+            return f"{said}; it distinguishes no model from its rivals"
+        return (
+            f"{said}; it distinguishes {told} of {len(rows)} models from their rivals, if the "
+            "model is right"
+        )
     before, after = "std_error_before", "std_error_after"
     of_all = run.tables["prediction_precision"] or run.tables["precision"]
     rows = [row for row in of_all if row[before] > 0.0 and row[after] >= 0.0]
@@ -115,7 +118,10 @@ def _designed(run: ReportedRun) -> str:
     best = min(rows, key=lambda row: row[after] / row[before])
     share, name = best[after] / best[before], best.get("label") or best["output"]
     what = "predicted " if "output" in best else ""
-    return f"{said}; the error of {what}{name} falls to {percent(share)} of what it is"
+    return (
+        f"{said}; the standard error of {what}{name} should fall to {percent(share)} of its "
+        "present value"
+    )
 
 
 LIKELY = 0.9
@@ -139,7 +145,7 @@ def _fitted(run: ReportedRun) -> list[str]:
     return [*doubts, said, *filter(None, [error]), *held_out]
 
 
-NOT_HELD_OUT = "There is no held-out experiment, so nothing tells how it predicts."
+NOT_HELD_OUT = "No experiment is held out, so it is not known how well the model predicts."
 
 
 def _opening(run: ReportedRun) -> list[str]:
@@ -159,10 +165,12 @@ def _opening(run: ReportedRun) -> list[str]:
     if run.finished:
         return []
     if run.is_running:
-        return ["What follows is what its folder holds so far; results come when it ends."]
+        return [
+            "This page shows what the run has written so far; the results come when the run ends."
+        ]
     return [
         _sentence(facts.get("message") or ""),
-        "It left no results; what its folder holds is shown.",
+        "The run left no results; this page shows what is in its folder.",
     ]
 
 
@@ -190,7 +198,7 @@ def _failed(run: ReportedRun) -> list[str]:
         return []
     total = max(total, 1)
     share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
-    of = f", {count(tried)} of them while effects were tried" if tried else ""
+    of = f", {count(tried)} of them in the search for effects" if tried else ""
     return [f"{count(failures)} of {count(total)} simulations failed ({share}){of}."]
 
 
@@ -216,7 +224,7 @@ def _steps(run: ReportedRun) -> Iterator[NextStep]:
         yield NextStep(f"Widen the bounds of {_listed(held)}, or fix them if they are known.")
     yield from _after_loop(run) if run.is_loop else _after_fit(run)
     if not any(row["role"] == "test" for row in run.tables["errors"]):
-        yield NextStep('Hold an experiment out (role = "test") to see how it predicts.')
+        yield NextStep('Hold an experiment out (role = "test") to see how well the model predicts.')
 
 
 def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
@@ -226,7 +234,10 @@ def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     if any(effect.get("alternatives") for effect in effects):
         yield NextStep("Distinguish the effect from its rivals by another experiment.", DESIGN)
     if run.facts["verdict"] in ("unexplained", "partial"):
-        yield NextStep("See below where error is left, and allow other effects there.")
+        yield NextStep(
+            "Look below for the places with the largest remaining error, and allow "
+            "other effects there."
+        )
     elif not effects:
         yield NextStep("Export the fitted model.", EXPORT)
 

@@ -193,7 +193,9 @@ def _cell(labels: list[str], matrix: FloatArray, i: int, j: int, *, small: bool)
 MOST_RANKED, MOST_UNKNOWNS_OVER_TIME, MOST_OUTPUTS_OVER_TIME = 40, 6, 12
 """Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
 
-RANKING_NOTE = "The bars are 95 % intervals; a parameter at 0 does not change the cost."
+RANKING_NOTE = (
+    "The bars are 95 % intervals; a parameter with an index of 0 does not change the cost."
+)
 TIME_NOTE = "Where a curve is high, that part of a record contains information about the parameter."
 
 
@@ -285,4 +287,4 @@ def _index(value: float | None) -> str:
 def _together(row: Row) -> str:
     if row["position"] < 0:
         return ""
-    return "yes" if row["together"] else "no: fix it, or measure more"
+    return "yes" if row["together"] else "no: fix this value, or measure more"

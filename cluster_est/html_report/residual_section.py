@@ -45,11 +45,11 @@ MOST_VARIABLES = 4
 COVERED = 1.96
 HEIGHT = 130
 NOTE = (
-    "Of the training experiments together. A model that lacks nothing leaves white noise: no "
-    "autocorrelation beyond the dashed lines (95 % of the lags of white noise stay within), a "
-    "histogram like the curve, and means (with 95 % bars, too short where neighbours are "
-    "correlated) around 0 over every variable. A variable over which the means bend is a hint at "
-    "what is missing."
+    "All training experiments together. The residuals of a complete model are white noise: about "
+    "95 % of the autocorrelations lie within the dashed lines, the histogram follows the curve, "
+    "and the means are near 0 over the whole range of every variable. A variable over which the "
+    "means bend is a hint at what is missing. The bars are 95 % intervals of the means; if "
+    "neighbouring samples are correlated, the bars are too short."
 )
 
 

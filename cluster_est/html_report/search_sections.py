@@ -54,8 +54,8 @@ STEPS_NOTE = (
     "fits worse than the declared model."
 )
 PROFILE_NOTE = (
-    "The least cost with one parameter held at a value, above the least of all. Steep sides mean "
-    "that the data determine it. The dashed lines are the ends of its interval."
+    "The curve is the rise of the cost if one parameter is held at a value. Steep sides mean "
+    "that the data determine the parameter. The dashed lines are the ends of its interval."
 )
 PATH_NOTE = (
     "A good search falls steeply and then becomes flat; a search that still falls at its "
@@ -164,7 +164,10 @@ def _all_searches(run: ReportedRun) -> list[Block]:
     rows = rows[:: max(1, len(rows) // MOST_DRAWN_COSTS)]
     if not rows:
         return [
-            TextBlock("The folder does not distinguish its searches, so none is drawn.", "faint")
+            TextBlock(
+                "The folder of this run does not distinguish its searches, so no curve is drawn.",
+                "faint",
+            )
         ]
     marks = []
     titles = {row["search"]: stage_title(row["search"]) for _, row in rows}
@@ -180,8 +183,8 @@ def _all_searches(run: ReportedRun) -> list[Block]:
     )
     note = (
         "A closed loop makes many searches, here coloured by their purpose. Each dot is an "
-        "iteration of one of them. Some use only a part of the experiments, and have lower costs "
-        "for that reason."
+        "iteration of one search. Some searches use only a part of the experiments, and have "
+        "lower costs for that reason."
     )
     return [FigureBlock("convergence", title, chart, note)]
 
@@ -300,7 +303,7 @@ def _work(run: ReportedRun) -> list[Block]:
         return []
     failed = f"{count(failures)} failed" if failures else "none failed"
     if failures and failures == run.facts.get("failures_in_search"):
-        failed += ", all of them while effects were tried"
+        failed += ", all of them in the search for effects"
     said = f"{count(simulations)} simulations, {failed}"
     if run.facts.get("seconds") is not None:
         workers = len(run.tables["workers"]) or 1

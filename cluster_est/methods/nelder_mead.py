@@ -310,9 +310,10 @@ class NelderMead(Method):
         if len(bounded):
             p = space.unknowns[bounded[0]].parameter
             raise ProblemError(
-                f'{dotted("parameters", p.name)}.bounds: must be absent for method "nelder_mead", '
-                f"whose simplex cannot keep bounds, but are [{p.lower:g}, {p.upper:g}]; set "
-                'method.options.bounds = "enforce", remove them, or use method "pattern_search"'
+                f"{dotted('parameters', p.name)}.bounds: must be absent, because method "
+                f'"nelder_mead" does not keep bounds by default, but are [{p.lower:g}, '
+                f'{p.upper:g}]; remove the bounds, set method.options.bounds = "enforce", or use '
+                'method "pattern_search"'
             )
 
     @override

@@ -78,15 +78,15 @@ class StepErrors:
             last, at_last = self.measured[-1]
             return (
                 f"{held} does not reproduce the run's RMSE ({run}): with steps of {last:.6g} s, "
-                f"the smallest that were tried, it is another ({_text(at_last, self.units)}); set "
+                f"the smallest that were tried, the RMSE is {_text(at_last, self.units)}; set "
                 "input derivatives, or simulate by model exchange"
             )
         step = f"a communication step of {self.reproduces:.6g} s reproduces the run's RMSE ({run})"
         if self.reproduces == first:
             return step
         return (
-            f"{step} in a tool that keeps inputs constant within a step; with {first:.6g} s it is "
-            f"another ({_text(at_first, self.units)})"
+            f"{step} in a tool that keeps inputs constant within a step; with {first:.6g} s the "
+            f"RMSE is {_text(at_first, self.units)}"
         )
 
 

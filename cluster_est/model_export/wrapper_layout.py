@@ -251,6 +251,8 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
             _inputs(description), key=lambda v: (not _is_plain(v, translated), not v.is_continuous)
         )
     )
+    if not exchange:
+        _refuse_read(effects, description)
     signals = _signals(effects, description)
     columns = (*(v.name for v in inputs), *signals)
     _check_inputs(effects, description, columns)
@@ -279,6 +281,18 @@ def _signals(
     """Return the measured signals that effects depend on."""
     used = (name for effect in effects for name in effect.uses)
     return tuple(dict.fromkeys(name for name in used if name not in description.variables))
+
+
+def _refuse_read(effects: tuple[EffectDefinition, ...], description: ModelDescription) -> None:
+    """Refuse effects that read what an FMU for co-simulation computes."""
+    for effect in effects:
+        read = [n for n in effect.uses if (v := description.variables.get(n)) and v.is_read]
+        if effect.site.kind != "output" and read:
+            raise ModelError(
+                f"--fmu: effect {effect.effect.name!r} at {effect.site} must not depend on what an "
+                f"FMU for co-simulation computes but depends on {read[0]!r}; use --ssv, --modelica "
+                "or --text, or model exchange"
+            )
 
 
 def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:

@@ -405,7 +405,7 @@ def _simulation_findings(
             said = f"at the start values: {outcome.status}: {outcome.message}"
             do = _advice(outcome)
             if cure.step is not None and simulation is simulations[0]:
-                do = f"model.step = {cure.step:.3g}, with which it succeeds"
+                do = f"model.step = {cure.step:.3g}, with which the simulation succeeds"
             lines.append(fault(name, said, do))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"

@@ -224,7 +224,10 @@ def _time(run: DraftExperiment) -> Iterator[str]:
     why = "no column is called time"
     for name in run.columns.unusable:
         if fold(split_unit(name)[0]) in TIME_COLUMN_NAMES:
-            why = f"column {name!r} has no numbers: dates, or a row of units to remove?"
+            why = (
+                f"column {name!r} has no numbers; remove a row of units, or convert dates to "
+                "seconds"
+            )
     yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
     for name in run.columns.increasing[:3]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"

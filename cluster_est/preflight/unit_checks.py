@@ -68,9 +68,12 @@ def unit_findings(
         if change is None or change == UnitConversion(1.0) or same_unit(unit, wanted):
             continue
         shown = f"'{column}'" if split_unit(column)[1] == unit else f"'{column}' in {unit}"
-        line = f"column {shown} is given to {variable}, which is in {wanted}, as it is"
+        line = f"column {shown} is given to {variable}, which is in {wanted}, without a conversion"
         do = f"{dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
-        do += f"offset = {change.offset:.12g} }}; with factor = 1 alone if the name is wrong"
+        do += (
+            f"offset = {change.offset:.12g} }}; if only the unit in the name is wrong, set just "
+            "factor = 1"
+        )
         lines.append(fault("units", line, do))
     return lines
 

@@ -86,9 +86,9 @@ def _check_categories(output: Output, where: str) -> None:
     count = len(np.unique(output.values))
     if len(output.times) and count < 2:
         raise ProblemError(
-            f"{where}: must have at least two different values if it is ordinal, because only "
-            f"their order counts, but all {len(output.values)} are {output.values[0]:g}; use more "
-            "of the record, or leave the output out"
+            f"{where}: an ordinal output must have at least two different values, because only "
+            f"their order counts, but all {len(output.values)} are {output.values[0]:g}; use a "
+            "longer part of the record, or remove the output"
         )
 
 

@@ -300,7 +300,9 @@ class ShapedCurve:
     def _check_free_of_keys(self, where: str) -> None:
         """Refuse keys of what follows from other values, or is held."""
         whys = dict.fromkeys(self.form.curve_values, "the value follows from changes of slope")
-        whys |= dict.fromkeys(CURVE_END_COEFFICIENTS, "changes of slope refer to fixed points")
+        whys |= dict.fromkeys(
+            CURVE_END_COEFFICIENTS, "changes of slope are defined between fixed points"
+        )
         for name, why in whys.items():
             for key in self.chosen.get(name or "", ()):
                 if not (name in CURVE_END_COEFFICIENTS and key == "fixed"):

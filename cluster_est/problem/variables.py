@@ -155,8 +155,8 @@ def check_effects(
                 if name in every and name not in names:
                     raise ProblemError(
                         f"experiment {experiment.id!r}.signals: must have {name!r}, on which "
-                        f"effect {definition.effect.name!r} depends, but has not"
-                        f"{nearest(name, names)}"
+                        f"effect {definition.effect.name!r} depends, but does "
+                        f"not{nearest(name, names)}"
                     )
 
 

@@ -60,8 +60,8 @@ class InitialError:
         several = "experiments begin" if self.count > 1 else "experiment begins"
         where = f"{self.found} of {self.count} {several}"
         return (
-            f"{where} at another state than the model: at the first sample {self.output} is up to "
-            f"{size} off, {self.over_noise:.3g} times its noise"
+            f"{where} in another state than the model: at the first sample {self.output} is off "
+            f"by up to {size}, {self.over_noise:.3g} times its noise"
         )
 
 

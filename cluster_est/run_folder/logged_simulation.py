@@ -241,8 +241,8 @@ def config_base(run_folder: Path, config: Path | None) -> Path:
     known = read_facts(run_folder).get("config_folder")
     if not isinstance(known, str):
         raise RunFolderError(
-            f"{run_folder}: must know where the files of its config are but does not; name the "
-            "config that it was made from with --config"
+            f"{run_folder}: must record the folder of its config's files but does not; name the "
+            "original config with --config"
         )
     if not Path(known).is_dir():
         raise RunFolderError(

@@ -89,8 +89,8 @@ def left_alone(run_folder: Path, status: str) -> str:
     if status != RunStatus.RUNNING or not is_left(run_folder / "evaluations"):
         return ""
     return (
-        "no process of this machine is running in it any more; if it was killed, continue it "
-        "with --resume"
+        "no process of this machine works in its folder any more; if the run was killed, "
+        "continue it with --resume"
     )
 
 

@@ -77,6 +77,35 @@ class ScoreTests:
         """p-value of each candidate alone, 1 for those set aside."""
         return np.exp(self.log_p)
 
+    def first(self, count: int) -> Self:
+        """Return the tests of the first candidates."""
+        stop = int(self.offsets[count])
+        return replace(
+            self,
+            statistics=self.statistics[:count],
+            df=self.df[:count],
+            ratio=self.ratio[:count],
+            log_p=self.log_p[:count],
+            explained=self.explained[:count],
+            bases=self.bases[:, :stop],
+            offsets=self.offsets[: count + 1],
+            coordinates=self.coordinates[:stop],
+        )
+
+    def with_more(self, more: ScoreTests) -> Self:
+        """Return these tests, and behind them those of further candidates of the same residual."""
+        return replace(
+            self,
+            statistics=np.concatenate([self.statistics, more.statistics]),
+            df=np.concatenate([self.df, more.df]),
+            ratio=np.concatenate([self.ratio, more.ratio]),
+            log_p=np.concatenate([self.log_p, more.log_p]),
+            explained=np.concatenate([self.explained, more.explained]),
+            bases=np.hstack([self.bases, more.bases]),
+            offsets=np.concatenate([self.offsets, self.offsets[-1] + more.offsets[1:]]),
+            coordinates=np.concatenate([self.coordinates, more.coordinates]),
+        )
+
     def without_bases(self) -> Self:
         """Return the tests alone: bases are by far the largest part."""
         return replace(self, bases=np.zeros((len(self.bases), 0)))

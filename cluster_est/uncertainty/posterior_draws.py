@@ -165,10 +165,10 @@ class PosteriorResult:
         if kept < LEAST_CHAIN_LENGTH * self.slowest:
             wanted = int(np.ceil(1.2 * LEAST_CHAIN_LENGTH * self.slowest * self.steps / kept))
             return (
-                f"{said}; no interval, because the chains are too short to have mixed: draws of "
-                f"{worst.label} are correlated over {self.slowest:.0f} of {kept:,} steps, and "
-                f"{LEAST_CHAIN_LENGTH:.0f} times as many are needed: at least "
-                f"uncertainty.posterior = {wanted}",
+                f"{said}; no interval, because the chains are too short. Draws of {worst.label} "
+                f"are correlated over {self.slowest:.0f} of {kept:,} steps, and a chain must be "
+                f"{LEAST_CHAIN_LENGTH:.0f} times as long as that; set uncertainty.posterior to at "
+                f"least {wanted}",
             )
         apart = max(self.intervals, key=lambda each: each.shrink_factor)
         return (

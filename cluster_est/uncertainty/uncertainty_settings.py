@@ -42,7 +42,7 @@ class UncertaintySettings(Settings):
         "cluster-est[posterior]",
     )
     walkers: Count = Field(
-        0, description="number of walkers; 0: four times the unknowns, and at least 16"
+        0, description="number of walkers; 0: four times the number of unknowns, but at least 16"
     )
     confidence: Finite = Field(
         0.95, ge=0.5, lt=1.0, description="confidence level of profiles, bootstrap and posterior"
@@ -62,8 +62,8 @@ class UncertaintySettings(Settings):
     rise: Finite = Field(
         0.0,
         ge=0.0,
-        description="rise of the cost at the ends of a profile, for costs without weights, such as "
-        "sae; 0: from the residuals",
+        description="rise of the cost that defines the ends of a profile, for costs without "
+        "weights, such as sae; 0: the rise is computed from the residuals",
     )
     at_once: Positive = Field(
         16, description="refits that run at the same time, for any number of workers"

@@ -149,8 +149,8 @@ class CurveSource:
             resources = build_resources(config)
             if resources.instances is not None:
                 raise RunFolderError(
-                    "the licence of the FMU limits its instances (executor.instances), and the run "
-                    "has them; curves come with the result"
+                    "the licence of the FMU limits its instances (executor.instances), and the "
+                    "run uses all of them; curves come with the result"
                 )
             self._simulated = _BestSimulator(problem, resources.limits)
             self._of = str(facts.get("started"))
@@ -198,8 +198,7 @@ class _BestSimulator:
         """
         if set(best.values) != self._labels:
             raise RunFolderError(
-                "the search moves other unknowns than those of the config; curves come with the "
-                "result"
+                "the search has other unknowns than the config; curves come with the result"
             )
         if self._best is None or best.values != self._best.values:
             self._best, self._known = best, {}
@@ -225,7 +224,7 @@ class _BestSimulator:
             said = f"This experiment cannot be simulated at the best point: {outcome.message}"
             return ExperimentCurves(names, experiment.id, (), said)
         curves = [_curve_at(o, outcome) for o in experiment.outputs if len(o.times)]
-        said = "At the best point so far, simulated once more for this page."
+        said = "Simulated for this page, at the best point so far."
         return ExperimentCurves(names, experiment.id, tuple(_thinned(c) for c in curves), said)
 
     def close(self) -> None:

@@ -33,7 +33,7 @@ SECONDS_TO_NOTICE = 0.05
 """That the server takes to see that it is closed."""
 SECONDS_OF_REQUEST = 30.0
 """After which a connection that says nothing is closed."""
-REFUSED = "this page opens by the address that the command has printed, on this machine alone"
+REFUSED = "open this page with the address that the command printed, on this machine"
 
 
 class LivePage:

@@ -15,6 +15,7 @@ from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.naming import Match, compare, in_words, label_in_words, normal
 from closed_loop_benchmark.oracle import Oracle, count_free, refit, translate
 from cluster_est import Problem
+from cluster_est.closed_loop.findings.confidence import claim_evidence
 from cluster_est.closed_loop.findings.effects import NamedEffect, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.results.fit_tables import Estimate
@@ -74,6 +75,9 @@ class Score:
         criterion less that of the declared model; and whether it was refitted to convergence.
     likely
         The sets that hold 90 % of the probability, where that is known: names, in words.
+    claims
+        For each effect that was named, whether it is right in place and kind, and its evidence (see
+        `ClaimEvidence`).
     active, spans
         The parts of the search that changed something, and the simulations before and after each
         call of one; None where nobody looked. See `closed_loop_benchmark.activity`.
@@ -122,6 +126,7 @@ class Score:
     failures: int = 0
     structures: list[tuple[list[str], float, bool]] | None = None
     likely: list[list[str]] | None = None
+    claims: list[dict[str, Any]] | None = None
     active: list[str] | None = None
     spans: list[tuple[str, float, float]] | None = None
     error: str = ""
@@ -176,6 +181,7 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
     covered, intervals = coverage(data, result)
     return replace(
         blank(data),
+        claims=_claims(data, result, same=bool(found.get("numerical"))),
         covered=covered,
         intervals=intervals,
         verdict=str(result.verdict),
@@ -209,6 +215,26 @@ def _naming(data: Data, result: LoopResult) -> dict[str, Any]:
         "named": [in_words(name) for name in named],
         "superfluous": max(len(named) - len(accepted), 0),
     }
+
+
+def _claims(data: Data, result: LoopResult, *, same: bool) -> list[dict[str, Any]]:
+    """Return what speaks for each named effect, and whether it is right.
+
+    It is, where it has a name of a true effect or the whole structure is the `same` model. A free
+    curve is right at the place of an effect that the library cannot express.
+    """
+    evidence = claim_evidence(result.effects, result.errors, result.structures)
+    accepted = [
+        normal(n.form, n.site, (n.variable,)) for own in data.scenario.accepted for n in own
+    ]
+    places = {(name.site, name.variable) for name in accepted}
+    claims = []
+    for effect, own in zip(result.effects, evidence, strict=True):
+        name = normal(effect.form, effect.site, effect.variables)
+        at_place = own.free and (name.site, name.variable) in places
+        right = same or name in accepted or (at_place and data.scenario.kind == "outside")
+        claims.append({"effect": in_words(name), "right": right, **asdict(own)})
+    return claims
 
 
 def _distances(data: Data, result: LoopResult) -> dict[str, Any]:

@@ -37,6 +37,7 @@ ADDED: dict[str, Values] = {
     "stribeck": {"k": 0.5, "peak": 0.5, "vs": 0.2, **SWITCH},
     "signed_root": {"k": 1.0},
     "saturating": {"k": 1.2, "half": 0.25},
+    "hill_power": {"k": 1.0, "half": 0.4, "n": 4.0},
     "exponential": {"k": 1.0, "at": 1.0, "width": 0.3},
     "hinge": {"k": 1.5, "at": 0.3},
     "hinge_below": {"k": 1.5, "at": -0.3},
@@ -49,6 +50,7 @@ ADDED: dict[str, Values] = {
 
 CHARACTERISTICS: dict[str, Values] = {
     "dead_zone": {"k": 0.3},
+    "cut_off": {"k": 0.3, "width": 0.01},
     "saturation": {"limit": 0.6},
     "asymmetry": {"k": -0.5},
     "gain": {"k": -0.4},
@@ -64,9 +66,12 @@ RESPONSES: dict[tuple[str, str], Values] = {
     ("input", "mode"): {"f": 40.0, "d": 0.25},
     ("input", "delay"): {"tau": 0.15},
     ("input", "rate_limit"): {"rate": 2.5},
+    ("input", "lead"): {"k": 0.25, "tau": 0.12},
     ("output", "lagged_feed_through"): {"k": 0.5, "tau": 0.15},
+    ("output", "mode_feed_through"): {"a": 0.5, "b": 0.0, "f": 40.0, "d": 0.1},
+    ("derivative", "store"): {"k": 1.0, "tau": 0.15},
 }
-"""Of a step, over time; the last is what a step of another signal adds to an output."""
+"""Of a step, over time; the last ones are what a step of another signal adds."""
 
 LOOPS: dict[tuple[str, str], Values] = {
     ("input", "backlash"): {"k": 0.3},
@@ -149,7 +154,7 @@ def groups() -> list[tuple[str, list[Tile]]]:
     ]
 
 
-FOLLOWING = ("lag", "mode", "delay", "rate_limit", "backlash")
+FOLLOWING = ("lag", "lead", "mode", "delay", "rate_limit", "backlash")
 """What changes the signal at its site, and does not add a function of another one."""
 
 

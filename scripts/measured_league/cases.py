@@ -28,12 +28,13 @@ class LeagueCase:
     config
         The base model and the frozen split.
     textbook
-        What the textbook changes: effects, or another model with further parameters.
+        What the textbook changes: effects, or another model with further parameters. None of a
+        case on an official split, which stands beside published errors instead.
     """
 
     name: str
     config: Path
-    textbook: Path
+    textbook: Path | None = None
 
     @property
     def title(self) -> str:
@@ -43,7 +44,7 @@ class LeagueCase:
     @property
     def lacking(self) -> str:
         """The effect that the base model lacks, in the words of the textbook's file."""
-        return _opening(self.textbook)
+        return _opening(self.textbook) if self.textbook else ""
 
 
 def all_cases(configs: Path = CONFIGS) -> tuple[LeagueCase, ...]:
@@ -58,6 +59,14 @@ def all_cases(configs: Path = CONFIGS) -> tuple[LeagueCase, ...]:
     )
 
 
+def official_cases(configs: Path = CONFIGS) -> tuple[LeagueCase, ...]:
+    """Every case on the split of nonlinearbenchmark.org, whose page gives start windows as well."""
+    return tuple(
+        LeagueCase(f"official_{path.stem}", path)
+        for path in sorted((configs / "league" / "official").glob("*.toml"))
+    )
+
+
 def _config(name: str, league: Path, examples: Path) -> Path:
     own = league / name
     return own if own.is_file() else examples / name
@@ -69,6 +78,8 @@ def textbook_config(case: LeagueCase) -> str:
     Paths in it are absolute, so it may stand in any folder.
     """
     base = with_absolute_paths(read(case.config), case.config.parent)
+    if case.textbook is None:
+        raise ValueError(f"{case.name} has no textbook's model")
     change = with_absolute_paths(read(case.textbook), case.textbook.parent)
     return to_toml(changed(base, change))
 

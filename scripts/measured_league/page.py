@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from pathlib import Path
+from statistics import median
 
 from measured_league.cases import LeagueCase
 from measured_league.picture import CURVES, held_out_record, picture
@@ -101,9 +102,52 @@ def page_text(
     known = {
         each.case.name: judgements.get(each.case.name, CaseJudgements("", ())) for each in found
     }
-    parts = [INTRODUCTION.rstrip(), _summary(found, known), _all_cases(found, known)]
-    parts += [_case(each, known[each.case.name], pictures) for each in found]
-    return "\n\n".join(parts) + "\n"
+    own = [each for each in found if each.case.textbook is not None]
+    parts = [INTRODUCTION.rstrip(), _summary(own, known), _all_cases(own, known), _paths(own)]
+    parts += [_official(each, known[each.case.name]) for each in found if each not in own]
+    parts += [_case(each, known[each.case.name], pictures) for each in own]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _paths(found: Sequence[CaseFigures]) -> str:
+    """The held-out error of every structure that a search accepted; nothing is chosen by it."""
+    rows, ratios = [], []
+    for each in found:
+        if not each.loop or not each.loop.path:
+            continue
+        path, answer = each.loop.path, each.loop.answer
+        ratios.append(answer / min(path.values()))
+        named = "; ".join(f"{' + '.join(labels)}: {number(e)}" for labels, e in path.items())
+        rows.append([each.case.name, named, number(answer), number(ratios[-1])])
+    if not rows:
+        return ""
+    text = (
+        "Held-out errors over the noise of the structures that each search accepted, in their "
+        "order, and of its answer. Nothing is chosen by them. The answer's error is "
+        f"{number(median(ratios))} times the least of its path at the median, and "
+        f"{number(max(ratios))} times at worst."
+    )
+    head = ["case", "accepted structures", "answer", "answer / least"]
+    return f"## Held-out errors along the path\n\n{text}\n\n{table(head, rows)}"
+
+
+def _official(each: CaseFigures, known: CaseJudgements) -> str:
+    """A case on an official split: the error of each held-out record beside published ones."""
+    case = each.case
+    published = dict(known.published)
+    rows = [
+        [record, *(number(errors.get(record, math.nan)) for errors in each.records), published_of]
+        for record in each.records[-1]
+        for published_of in [published.get(record, "-")]
+    ]
+    parts = [f"## {case.name}", case.title, known.remark]
+    if each.loop:
+        parts.append(_said(each))
+        added = "; ".join(f"`{effect.name}`" for effect in each.loop.effects)
+        parts.append(f"Added: {added}." if added else "")
+    unit = each.base.unit if each.base else ""
+    head = [f"record, errors in {unit}", "base", "loop", "best published"]
+    return "\n\n".join(filter(None, [*parts, table(head, rows)]))
 
 
 def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) -> str:
@@ -211,12 +255,16 @@ def _said(each: CaseFigures) -> str:
     text = f"Verdict of the closed loop: `{each.loop.verdict}`"
     text += "." if each.loop.effects else "; nothing was added."
     loop = each.loop.figures
-    for name, run in (("base model's", each.base), ("textbook's", each.textbook)):
-        if run:
-            text += f" Its held-out error is {loop.test / run.test:.2f} times the {name}."
+    others = (("base model's", each.base), ("textbook's", each.textbook))
+    shares = [f"{loop.test / run.test:.2f} times the {name}" for name, run in others if run]
+    if shares:
+        text += f" The held-out error is {' and '.join(shares)}."
     if math.isfinite(each.noise):
         times = [f"{error / each.noise:.3g}" for error in (loop.train, loop.test)]
-        text += f" It leaves {times[0]} times the noise in training and {times[1]} held out."
+        text += (
+            f" The remaining error is {times[0]} times the noise in training "
+            f"and {times[1]} times the noise on held-out data."
+        )
     return text
 
 
@@ -303,10 +351,13 @@ class CaseJudgements:
         What to know before its figures are believed.
     names
         Judgements; the first that fits a name counts.
+    published
+        The best published error of each record, as text.
     """
 
     remark: str
     names: tuple[Judgement, ...]
+    published: tuple[tuple[str, str], ...] = ()
 
     def of(self, name: str) -> Judgement:
         """The judgement of an effect by its name."""
@@ -334,6 +385,7 @@ def read_judgements(file: Path = JUDGEMENTS) -> dict[str, CaseJudgements]:
                 Judgement(each["pattern"], Rightness(each["is"]), each["why"])
                 for each in section.get("names", [])
             ),
+            tuple(section.get("published", {}).items()),
         )
         for case, section in tree.items()
     }

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,8 @@ def run_cases(
     chosen = list(kinds)
     for case in cases:
         for kind in chosen:
+            if kind is Kind.TEXTBOOK and case.textbook is None:
+                continue
             if finished_facts(run_folder(out, case, kind)) is None:
                 how = _run(case, kind, out, minutes, workers, environment)
                 yield EndedRun(case.name, kind, how)
@@ -160,11 +162,21 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class LoopFigures:
-    """What a closed loop says, besides its figures."""
+    """What a closed loop says, besides its figures.
+
+    Attributes
+    ----------
+    path
+        Held-out errors over their noise of the structures that the search accepted, by labels.
+    answer
+        The same of its answer, which may be the base model.
+    """
 
     figures: RunFigures
     verdict: str
     effects: tuple[NamedEffect, ...]
+    path: Mapping[tuple[str, ...], float] = field(default_factory=dict)
+    answer: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -176,6 +188,8 @@ class CaseFigures:
     noise
         The loop's estimate, in the unit of the errors; without a loop, that of the base model's
         fit; NaN where neither says one.
+    records
+        Errors by held-out record of the base model and of the loop.
     """
 
     case: LeagueCase
@@ -183,6 +197,7 @@ class CaseFigures:
     textbook: RunFigures | None
     loop: LoopFigures | None
     noise: float
+    records: tuple[Mapping[str, float], ...] = ()
 
 
 def read_case(case: LeagueCase, out: Path) -> CaseFigures:
@@ -201,8 +216,11 @@ def read_case(case: LeagueCase, out: Path) -> CaseFigures:
         case,
         base,
         textbook,
-        None if loop is None else _loop(loop, facts[Kind.LOOP] or {}),
+        None
+        if loop is None
+        else _loop(loop, facts[Kind.LOOP] or {}, _path(run_folder(out, case, Kind.LOOP))),
         _noise(facts[Kind.LOOP], facts[Kind.BASE]),
+        tuple(errors_by_record(out, case, kind) for kind in (Kind.BASE, Kind.LOOP)),
     )
 
 
@@ -229,12 +247,30 @@ def _figures(
     )
 
 
-def _loop(figures: RunFigures, facts: Mapping[str, Any]) -> LoopFigures:
+def _path(folder: Path) -> dict[tuple[str, ...], float]:
+    rows = pq.read_table(folder / "structures.parquet").to_pylist()
+    return {tuple(r["effects"]): r["held_out"] for r in rows if math.isfinite(r["held_out"])}
+
+
+def errors_by_record(out: Path, case: LeagueCase, kind: Kind) -> dict[str, float]:
+    """The root mean square error of each held-out record of a run, over all of its outputs."""
+    file = run_folder(out, case, kind) / "errors.parquet"
+    rows = pq.read_table(file).to_pylist() if file.is_file() else []
+    records = dict.fromkeys(row["experiment"] for row in rows if row["role"] == "test")
+    return {
+        name: pooled((row for row in rows if row["experiment"] == name), "test") for name in records
+    }
+
+
+def _loop(
+    figures: RunFigures, facts: Mapping[str, Any], path: Mapping[tuple[str, ...], float]
+) -> LoopFigures:
     effects = tuple(
         NamedEffect(effect_name(each["form"], each["site"], each["variables"]), each["equation"])
         for each in facts["effects"]
     )
-    return LoopFigures(figures, facts["verdict"], effects)
+    answer = facts["errors"]["test"]["after"]
+    return LoopFigures(figures, facts["verdict"], effects, path, answer or math.nan)
 
 
 def effect_name(form: str, site: str, variables: Iterable[str]) -> str:

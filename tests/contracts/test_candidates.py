@@ -18,6 +18,7 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
+from cluster_est.closed_loop.candidates.arguments import CandidatePlace
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
     finer_form,
@@ -95,9 +96,14 @@ def systems():
             fitted = unfitted(bench)
             courses = bench.fitter.trajectories(fitted)
             rate = 2.0 * np.pi * WAVES_IN_A_RECORD / SYSTEMS[name].stop
-            candidates = make_candidates(
-                fitted.problem, bench.fitter.description, courses, [rate], LoopSettings()
-            )
+            given = (fitted.problem, bench.fitter.description, courses, [rate], LoopSettings())
+            candidates = make_candidates(*given)
+            places = {
+                CandidatePlace(c.site, *c.effect.variables): None
+                for c in candidates
+                if c.form.variables == 1
+            }
+            candidates += make_candidates(*given, places, beside=candidates)
             candidates += [fine for c in candidates for fine in _finer(c)]
             trials = [CandidatePoint(c, c.grid[len(c.grid) // 2]) for c in candidates]
             known = [[fitted.estimates[n] for n in each.linear.parameter_names] for each in courses]

@@ -71,6 +71,7 @@ def effects_of(kind, group="function"):
     """An effect of each form of a kind, and the values of their coefficients."""
     limit = 2.0 if kind == "input" else 0.05
     known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5, "rate": 20.0}
+    known["zero"] = 10.0
     forms = [f for k, f in FORMS if k == kind and is_in(FORMS[k, f], kind, group)]
     effects, values = [], []
     for number, name in enumerate(forms):

@@ -2,7 +2,8 @@
  *
  * An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
  * the start of a step: where that is too coarse, `Settings.step` shortens the steps. Inputs that
- * effects change are linear within a step.
+ * effects change are linear within a step. What the FMU computes and effects depend on is read at
+ * the beginning of a step and held.
  */
 #include "work.h"
 
@@ -11,6 +12,7 @@ static inline void effective_at(Work *w, const Interval *a, double time) {
     const Model *c = &w->model;
     interpolate(c, ANY, a, time - a->begin);
     if (!c->changes_inputs) return;
+    hold_seen(w);
     *w->time = time;
     FOR(j, c->n_states) w->trial[j] = w->x[j];
     run_fast(c->program->fast[BEFORE], w->r);
@@ -18,6 +20,7 @@ static inline void effective_at(Work *w, const Interval *a, double time) {
 
 int set_effective(Work *w, const Interval *a, double time) {
     const Model *c = &w->model;
+    TRY(see_outputs(w));
     effective_at(w, a, time);
     if (c->n_inputs > 0)
         TRY(set_values(&c->f, c->f.version, &c->inputs, w->effective, w->buffer));
@@ -38,6 +41,7 @@ static void advance_own_states(Work *w, const Interval *a, double time, double h
         else
             FOR(j, n) w->trial[j] = x[j] + offset * k[(stage - 1) * n + j];
         interpolate(c, ANY, a, time + offset - a->begin);
+        hold_seen(w);
         *w->time = time + offset;
         run_fast(p->fast[AFTER], w->r);
         FOR(j, p->n_sites) k[stage * n + p->sites[j].state] = w->r[p->sites[j].r];
@@ -103,6 +107,9 @@ ALWAYS End co_simulate(Work *w, const double *point, double *y, const Shape s) {
     if (status >= DISCARD) return (End){failed(INITIALISATION, status), t[0], 0};
     if (effects) {
         memset(w->x, 0, c->n_states * sizeof *w->x);
+        status = see_outputs(w);
+        if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), t[0], 0};
+        hold_seen(w);
         start_own_states(w);
     }
     for (size_t i = 0;; i++, y += c->n_outputs) {

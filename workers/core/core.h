@@ -96,6 +96,7 @@ typedef struct {
     const double *values, *slopes;   /* (t, u) inputs, then signals; 0 where one is held */
     const uint8_t *jumps;            /* (t) whether a held input jumps */
     const uint8_t *passed;           /* (t) whether a step may pass over it */
+    Variables seen; /* in co-simulation: what the FMU computes and effects read, among its columns */
     size_t n_times, n_inputs, n_outputs;
     const int64_t *gather, *by_time, *row_ends; /* see workers.grid, for an early end; or NULL */
     const double *measured, *sigmas;

@@ -111,6 +111,7 @@ class Experiment(_HoldingStructure):
         ("n_strings", c_size_t),
         *_fields(Variables, "inputs", "continuous_inputs", "outputs"),
         *_fields(c_void_p, "times", "intervals", "values", "slopes", "jumps", "passed"),
+        ("seen", Variables),
         *_fields(c_size_t, "n_times", "n_inputs", "n_outputs"),
         *_fields(c_void_p, "gather", "by_time", "row_ends", "measured", "sigmas"),
     ]

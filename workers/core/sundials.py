@@ -62,9 +62,9 @@ def libraries() -> SundialsLibraries:
         )
     except Exception as error:  # fmpy raises bare exceptions for a version that it does not know
         raise ModelError(
-            'model.solver: "cvode" needs the SUNDIALS 7 libraries, which the wheel of fmpy must '
-            f"carry for this platform but does not ({error}); choose dormand_prince or rk4, or "
-            "simulate on 64-bit Linux or Windows, or a Mac with an ARM processor"
+            'model.solver: "cvode" needs the SUNDIALS 7 libraries, but the installed fmpy does '
+            f"not include them for this platform ({error}); choose dormand_prince or rk4, or "
+            "simulate on 64-bit Linux or Windows, or on a Mac with an ARM processor"
         ) from error
 
 

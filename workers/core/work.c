@@ -33,7 +33,7 @@ int begin_work(Work *w, const Batch *b) {
     /* States and their derivatives begin at a cache line: those that cross one cost a third
      * more. */
     const size_t line = 8, room = (registers + 1 + line) / line * line;
-    char *raw = calloc(room + 10 * x + u + 3 * z + b->largest_array + 1 + u + 3 * line,
+    char *raw = calloc(room + 10 * x + u + 3 * z + b->largest_array + 1 + 2 * u + 3 * line,
                        sizeof(double));
     if (raw == NULL) return NO_MEMORY;
     w->memory = raw, w->batch = b, w->model = model_of(b);
@@ -47,6 +47,7 @@ int begin_work(Work *w, const Batch *b) {
     w->buffer = w->indicators[0] + 3 * z;
     w->orders = (int32_t *)(w->buffer + b->largest_array + 1);
     for (size_t j = 0; j < u; j++) w->orders[j] = 1;
+    w->seen = w->buffer + b->largest_array + 1 + u;
     w->model.at = (Places){w->r, w->time, w->trial, w->u, w->effective, w->varied, w->x, w->k};
     if (p) memcpy(m + p->first_constant, p->constants, p->n_constants * sizeof *m);
     w->next_event = HUGE_VAL, w->bound = HUGE_VAL;
@@ -76,6 +77,19 @@ void update_coefficients(Work *w) { run_fast(w->model.program->fast[ONCE], w->r)
 void interpolate_at(Work *w, size_t i, double time) {
     const Interval a = interval(&w->model, ANY, i);
     interpolate(&w->model, ANY, &a, time - a.begin);
+}
+
+int see_outputs(Work *w) {
+    const Variables *v = &w->batch->experiment->seen;
+    return get_values(&w->model.f, w->model.f.version, v, w->seen, w->buffer);
+}
+
+void hold_seen(Work *w) {
+    const Variables *v = &w->batch->experiment->seen;
+    FOR(j, v->n_reals) w->u[j] = w->seen[j];
+    FOR(j, v->n_elements)
+        if (v->elements[j].column >= 0)
+            w->u[v->elements[j].column] = w->seen[v->elements[j].column];
 }
 
 void initial_inputs(Work *w) {

@@ -49,6 +49,7 @@ typedef struct {
     double *r, *time, *trial, *u, *effective, *varied, *x, *k; /* the same as in `model.at` */
     double *atols, *end;                /* (x), (x) tolerances at present; memory */
     double *input_slopes;               /* (u) */
+    double *seen;                       /* (u) what the FMU computes and effects read */
     double *indicators[3];              /* after the last step, behind an event, of a trial */
     double *buffer;                     /* of one variable */
     int32_t *orders;                    /* as many ones as inputs */
@@ -92,6 +93,10 @@ void update_coefficients(Work *w);
 void initial_inputs(Work *w);
 /* The own states of effects at the start, into x, where the FMU's are. */
 void start_own_states(Work *w);
+/* In co-simulation: read what the FMU computes and effects depend on, where it stands; and put that
+ * into the registers of the inputs, where it stays until it is read again. */
+int see_outputs(Work *w);
+void hold_seen(Work *w);
 /* Reset, write every start value, initialise. Returns the status. */
 int initialise(Work *w, const double *point, double tolerance);
 /* Add the squares of the residuals at grid time i; whether the sum is above its bound. */

@@ -333,9 +333,12 @@ def _own_form(effect: Effect, site: EffectSite) -> EffectForm:
 def _variables(description: ModelDescription, site: EffectSite, interface: Interface) -> list[str]:
     """Return the variables that an equation at a site may depend on.
 
-    States are known in model exchange, or from the recorded outputs.
+    States are known in model exchange, or from the recorded outputs. In co-simulation the FMU shows
+    what it computes from one communication point to the next.
     """
     names = [v.name for v in description.inputs()]
+    if interface == "co_simulation" and site.kind != "output":
+        names += [v.name for v in description.variables.values() if v.is_read]
     if interface == "model_exchange" or site.kind == "output":
         names = [*description.states, *names]
     if site.kind == "output":

@@ -26,6 +26,7 @@ from workers.effects.kinds import (
     positive,
 )
 from workers.effects.laws import Law
+from workers.effects.stores import STORES
 from workers.errors import EffectError
 from workers.fmu.description import nearest
 
@@ -53,6 +54,7 @@ _OWN = (FormCondition.OWN,)
 _OWN_OSCILLATES = (FormCondition.OWN, FormCondition.OSCILLATES)
 _DRIVEN = (FormCondition.DRIVEN,)
 _DRIVEN_OSCILLATES = (FormCondition.DRIVEN, FormCondition.OSCILLATES)
+_OTHER_OSCILLATES = (FormCondition.OTHER, FormCondition.OSCILLATES)
 
 
 def _k(unit: str) -> FormCoefficient:
@@ -97,12 +99,19 @@ _WIDTH = FormCoefficient(
     "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
 """Width of a switch: as narrow as a solver can still step across."""
+_NARROW = replace(_WIDTH, grid=(0.004,))
+_EDGE = FormCoefficient(
+    "width", None, positive=True, scale=GridScale.MAX_S, grid=(0.005,), held=True, unit="site"
+)
+"""Width of the jump of a signal that is cut off: of a sharp one a fit would see no slope."""
 _WAVE = _wave("site", _FREQUENCY)
 _WAVES = tuple(0.5 * halves for halves in range(3, 33))
 """Waves within the range of the data: in steps of a half no peak of a periodogram is missed."""
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
 _HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
 """Value where half of the limit is reached, as in the law of Michaelis and Menten."""
+_HILL = _shape("n", "1", GridScale.EXPONENT, 3.0)
+"""Hill's exponent: 1 and, of a parameter, 2 have forms of their own."""
 _REFERENCE = FormCoefficient(
     "ref", None, positive=True, scale=GridScale.MAX_V, grid=(1.0,), held=True, unit="v"
 )
@@ -120,6 +129,9 @@ _COLOURED = (
     FormCoefficient("q", positive=True, unit="site / second^0.5"),
     _shape("tau", "second", GridScale.STEP, 10.0),
 )
+_LEVEL = FormCoefficient(
+    "k", positive=True, scale=GridScale.MAX_S, grid=(0.05, 0.12, 0.25), unit="site"
+)
 _RATE = FormCoefficient(
     "rate",
     float("inf"),
@@ -131,12 +143,27 @@ _RATE = FormCoefficient(
 _SWINGS = (
     FormCoefficient("f", float("inf"), positive=True, scale=GridScale.PER_STEP,
                     grid=(0.5, 0.15, 0.05), unit="rad / second"),
-    _shape("d", "1", GridScale.EXPONENT, 0.2, 0.7),
+    _shape("d", "1", GridScale.NUMBER, 0.2, 0.7),
 )  # fmt: skip
 _PULLED = "f * (s - z) - 2 * d * f * y"
 _LAG = OwnState("z", "(v - z) / tau", "v")
 _RESTING = OwnState("z", "(v - z) / tau", "0")
 """A lag of something that was at rest before, like a further branch in an electrical model."""
+_DELAY_LINE = (
+    OwnState("z", "10 * y / tau", "v"),
+    OwnState("y", "10 * q / tau", "0"),
+    OwnState("q", "10 * p / tau", "0"),
+    OwnState("p", "(0.84 * (v - z) - 4.8 * y - 12 * q - 16 * p) / tau", "0"),
+)
+_DELAYED = "(z - 30 / 7 * y + 50 / 7 * q - 100 / 21 * p)"
+"""The variable as it was tau ago, before the start as at the start: exp(-x) by its Pade approximant
+of the orders 3 and 4, with z of D(x) z = v, y = x z / 10, q = x y / 10 and p = x q / 10:
+
+    N = 1 - 3/7 x + x^2/14 - x^3/210,    D = 1 + 4/7 x + x^2/7 + 2/105 x^3 + x^4/840
+
+E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), theorem IV.3.12. Of a wave
+with tau w = 2 radians within the delay it misses 2e-4 of the amplitude, with pi radians 0.007. It
+passes on no jump at once, so that a state may depend on itself."""
 _TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
@@ -267,6 +294,9 @@ _RATES = (
     # of an amount: with both signs it is little else than a dry friction with a soft edge
     EffectForm("saturating", "coupling", Law.SATURATING, _DER, "k * v / (half + abs(v))",
          (_k("site"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.0),
+    EffectForm("hill_power", "coupling", Law.HILL_POWER, _DER,
+         "k * max(v, 0)^n / (half^n + max(v, 0)^n)",
+         (_k("site"), _HALF, _HILL), 1, when=(FormCondition.POSITIVE,), order=1.2, later=True),
     # of a state at its surroundings' temperature, or of two
     EffectForm("radiation", "radiation", Law.FOURTH_DIFFERENCE, _DER,
          "-k * ((v + zero)^4 - (w + zero)^4)",
@@ -282,7 +312,14 @@ _RATES = (
     EffectForm("lagged", "coupling", Law.LAGGED, _DER,
          "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
-         when=_DRIVEN, order=0.3),
+         when=(FormCondition.OTHER,), order=0.3, differences=True),
+    # of a recycle, a belt, a pipe; of the state itself too
+    EffectForm("delayed", "coupling", Law.DELAYED, _DER,
+         f"k * {_DELAYED}", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1, _DELAY_LINE,
+         order=0.4, differences=True, later=True),
+    # of a relay; of the state itself it is a friction
+    EffectForm("switch", "coupling", Law.SWITCH, _DER, "k * tanh(v / width)",
+         (_k("site"), _NARROW), 1, when=_OTHER_OSCILLATES, order=0.5, differences=True),
     EffectForm("hinge", "end stop", Law.ABOVE, _DER, "k * max(v - at, 0)",
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
     EffectForm("hinge_below", "end stop", Law.BELOW, _DER, "k * max(at - v, 0)",
@@ -413,16 +450,17 @@ _SIGNALS = (
                           held=True, unit="site")), order=1.0),
     EffectForm("saturating", "nonlinearity", Law.LEVELLING, _SIGNAL, "s / (1 + k * abs(s))",
          (FormCoefficient("k", positive=True, unit="1 / site"),), order=0.8),
-    EffectForm("asymmetry", "nonlinearity", Law.ASYMMETRY, _IN, "s + k * max(s, 0)", (_k("1"),),
-         when=_OSCILLATES),
-    EffectForm("dead_zone", "nonlinearity", Law.DEAD_ZONE, _IN,
-         "where(abs(s) > k, s - k * sign(s), 0)",
-         (FormCoefficient("k", positive=True, scale=GridScale.MAX_S, grid=(0.05, 0.12, 0.25),
-                          unit="site"),)),
-    EffectForm("backlash", "nonlinearity", Law.BACKLASH, _IN, "s",
-         (FormCoefficient("k", positive=True, scale=GridScale.MAX_S, grid=(0.05, 0.12, 0.25),
-                          unit="site"),),
-         memory="backlash"),
+    EffectForm("asymmetry", "nonlinearity", Law.ASYMMETRY, _SIGNAL, "s + k * max(s, 0)",
+         (_k("1"),), when=_OSCILLATES),
+    EffectForm("dead_zone", "nonlinearity", Law.DEAD_ZONE, _SIGNAL,
+         "where(abs(s) > k, s - k * sign(s), 0)", (_LEVEL,)),
+    EffectForm("cut_off", "nonlinearity", Law.CUT_OFF, _SIGNAL,
+         "s * (1 + tanh((abs(s) - k) / width)) / 2", (_LEVEL, _EDGE), order=0.5),
+    # of an eccentric encoder or a cam
+    EffectForm("periodic", "nonlinearity", Law.PERIODIC_ERROR, _OUT,
+         "s + a * sin(n * s) + b * cos(n * s)",
+         _wave("site", _shape("n", "rad / site", GridScale.WAVES_V, *_WAVES)), order=1.5),
+    EffectForm("backlash", "nonlinearity", Law.BACKLASH, _IN, "s", (_LEVEL,), memory="backlash"),
     EffectForm("rate_limit", "limit", Law.RATE_LIMIT, _IN, "s", (_RATE,), memory="rate_limit"),
     EffectForm("rate_limit_from_rest", "limit", Law.RATE_LIMIT_FROM_REST, _IN,
          "s", (_RATE,), memory="rate_limit_from_rest",
@@ -439,7 +477,7 @@ _SIGNALS = (
          "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
     EffectForm("lag", "lag", Law.FIRST_ORDER_LAG, _SIGNAL,
          "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
-    EffectForm("lag_from_rest", "lag", Law.FIRST_ORDER_LAG_FROM_ZERO, _IN, "z", (_LATE,), 0,
+    EffectForm("lag_from_rest", "lag", Law.FIRST_ORDER_LAG_FROM_ZERO, _SIGNAL, "z", (_LATE,), 0,
          (OwnState("z", "(s - z) / tau", "0"),), when=(FormCondition.FROM_REST,), order=0.2),
     # of an actuator or a sensor that swings, with a gain of 1 at rest
     EffectForm("mode", "lag", Law.SECOND_ORDER_LAG, _SIGNAL, "z", _SWINGS, 0,
@@ -490,6 +528,9 @@ _VARIATIONS = (
     # of Hill with the exponent 2, and of coils and ceramic capacitors: for both signs alike
     EffectForm("hill", "variation", Law.HILL, _PAR, "s * (1 - k * v^2 / (half^2 + v^2))",
          (_k("1"), _HALF), 1, order=1.5),
+    EffectForm("hill_power", "variation", Law.HILL_POWER, _PAR,
+         "s * (1 - k * max(v, 0)^n / (half^n + max(v, 0)^n))",
+         (_k("1"), _HALF, _HILL), 1, when=(FormCondition.POSITIVE,), order=1.7, later=True),
     EffectForm("inverse", "variation", Law.INVERSE, _PAR, "s / (1 + k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.2),
     EffectForm("inverse_square", "variation", Law.INVERSE_SQUARE, _PAR, "s / (1 + k * (v^2 - at))",
@@ -499,6 +540,16 @@ _VARIATIONS = (
          when=(FormCondition.POSITIVE,), order=1.2),
     EffectForm("exponential", "variation", Law.EXPONENTIAL, _PAR, "s * exp(k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.2),
+    # of a temperature: where the exponential law fits as well, this one is known from physics
+    EffectForm("arrhenius", "variation", Law.ARRHENIUS, _PAR,
+         "s * exp(k * (1 / (at + zero) - 1 / (v + zero)))",
+         (_k("v"), _centre("v", GridScale.MEAN_V), _ZERO), 1, order=1.1, later=True),
+    EffectForm("lagged", "variation", Law.LAGGED, _PAR, "s * (1 + k * (z - at))",
+         (_k("1 / v"), _centre("v", GridScale.MEAN_V), _tau(4.0, 15.0, 50.0)), 1, (_LAG,),
+         order=1.1, later=True),
+    EffectForm("delayed", "variation", Law.DELAYED, _PAR, f"s * (1 + k * ({_DELAYED} - at))",
+         (_k("1 / v"), _centre("v", GridScale.MEAN_V), _tau(4.0, 15.0, 50.0)), 1, _DELAY_LINE,
+         order=1.2, later=True),
     EffectForm("heating", "variation", Law.LAGGED_SQUARE, _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),
@@ -528,7 +579,7 @@ simulation. A search does not try them."""
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f
-    for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
+    for f in (*_RATES, *STORES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
     for kind in f.kinds
 }
 """All forms, by kind of site and name."""

@@ -61,6 +61,10 @@ class GridScale(enum.Enum):
     """How far the zero of v's unit lies above absolute zero; for temperatures in K or degC."""
     EXPONENT = "exponent"
     """Entries are exponents of a power law, whatever the data are."""
+    NUMBER = "number"
+    """Entries are the values themselves, of a coefficient without a unit."""
+    DAMPING = "damping"
+    """Entries are ratios of damping of what swings: below 1."""
     SPECTRUM = "spectrum"
     """Angular frequency of a peak in the residual's spectrum."""
 
@@ -72,9 +76,14 @@ class FormCondition(enum.Enum):
     """Its variable, or the signal where it has none, clearly takes both signs."""
     POSITIVE = "positive"
     """Its variable, or the signal where it has none, is never negative."""
+    AMOUNT = "amount"
+    """Its variable, or the signal where it has none, is never negative, and no temperature: where
+    it is zero there is nothing."""
     OWN = "own"
     """Its variable, the first where it has two, is the state at whose derivative it acts, at an
     input one that this acts on."""
+    OTHER = "other"
+    """Its variable, the first where it has two, is no state that it pushes."""
     FIRST = "first"
     """Its variable is the first state of the pair."""
     FORCE = "force"
@@ -85,13 +94,15 @@ class FormCondition(enum.Enum):
     POSITION = "position"
     """Its variable is the integral, but for a factor, of a state that the effect pushes."""
     NO_POSITION = "no position"
-    """Its variable is the derivative of no state."""
+    """Its variable is the derivative of no state, and a rate where its unit is known."""
     AROUND = "around"
     """Its two variables are the state at whose derivative it acts and an input of its unit that
     acts on it, such as an ambient temperature; at a pair, its two states if they have one unit."""
     FROM_REST = "from rest"
     """The signal at its site is not zero at the start of every experiment: it may have begun then,
     or have been there before."""
+    STATE = "state"
+    """Its variable is a state, and no difference."""
     DRIVEN = "driven"
     """Its variable is an input or a measured signal."""
     FEEDS = "feeds"
@@ -179,6 +190,12 @@ class EffectForm:
         Conditions under which a search should try it; all must hold.
     order
         The form of lower order is taken where the data do not tell two apart.
+    differences
+        At a derivative its variable may also be the difference of two states of one unit; others
+        are looked for at pairs.
+    later
+        A search looks at it only where another function of its argument leads, from which it
+        differs little: it counts as looked at there alone.
     values
         Of a free curve: the number of points that it is made of.
     finer_than
@@ -197,6 +214,8 @@ class EffectForm:
     memory: str = ""
     when: tuple[FormCondition, ...] = ()
     order: float = 0.0
+    differences: bool = False
+    later: bool = False
     values: int = 0
     finer_than: str = ""
 
@@ -232,9 +251,10 @@ class EffectForm:
 
     @property
     def of_time_alone(self) -> bool:
-        """It is a function of nothing but time: a drift, a wave."""
-        alone = not self.variables and not self.states and not self.memory
-        return alone and re.search(r"\bt\b", self.equation) is not None
+        """It is a function of nothing but time: a drift, a wave, what decays from the start."""
+        texts = [self.equation, *(z.derivative for z in self.states)]
+        signals = self.variables or self.memory or any(re.search(r"\bs\b", t) for t in texts[1:])
+        return not signals and (bool(self.states) or re.search(r"\bt\b", texts[0]) is not None)
 
 
 def positive(coefficient: FormCoefficient, *, own: bool) -> bool:

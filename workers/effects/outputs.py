@@ -110,7 +110,7 @@ def apply_output_effect(
         return
     fine, seen = refine(grid, outputs) if definition.states else (grid, outputs)
     program = _compile(definition, recorded, inputs)
-    signals = dict(zip((*recorded, *inputs), (*seen.T, *fine.inputs.T), strict=True))
+    signals = dict(zip((*inputs, *recorded), (*fine.inputs.T, *seen.T), strict=True))
     seen = np.ascontiguousarray(seen)
     record = Record(
         n_times=len(fine.times),

@@ -173,7 +173,7 @@ class FunctionTable:
         if absent:
             raise ModelError(
                 f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
-                "but has not; export it again"
+                "but does not; export the FMU again"
             )
         if exchange and version == 3 and not self._model.structure:
             self._check_counts()

@@ -52,9 +52,9 @@ def missing_binary(
     if path in held:
         return None
     there = platforms_in(held)
-    must = f"must have a binary for {wanted}, this machine's platform, but"
+    must = f"must have a binary for this machine's platform ({wanted}) but"
     if wanted in there:
-        return f"must have the binary {path} but has not; export it again"
+        return f"must have the binary {path} but does not; export the FMU again"
     if there:
         small = [p for p in there if p in _BITS_32]
         note = f" ({' and '.join(small)}: 32 bits, which a 64-bit program cannot load)"

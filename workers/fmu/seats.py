@@ -140,9 +140,9 @@ def _locked(key: tuple[str, int], file: str) -> BaseFileLock | None:
 def _all_here(seats: Seats, file: str) -> str:
     if has_lost(seats):
         return (
-            f"{file}: an instance must be freed before executor.instances allows another one in "
-            "this process, but after a fatal error it may not be called any more; choose "
-            'executor.name = "processes" or "ray", where its process is ended'
+            f"{file}: this FMU's instance must be freed before this process can make another one "
+            "(executor.instances), but after a fatal error it cannot be freed; set executor.name "
+            '= "processes" or "ray", which end the process instead'
         )
     return (
         f"{file}: this process already has as many instances as executor.instances allows; raise "

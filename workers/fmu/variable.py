@@ -91,6 +91,11 @@ class ModelVariable:
         return self.kind in ("real", "integer", "boolean") and not given
 
     @property
+    def is_read(self) -> bool:
+        """True for a real number that the FMU computes."""
+        return self.kind == "real" and self.is_computed
+
+    @property
     def is_tool_setting(self) -> bool:
         """True for an option of the tool that exported the FMU: _nle_tolerance, $solver.step."""
         return any(part.startswith(("_", "$")) for part in self.name.split("."))

@@ -33,6 +33,8 @@ class BoundEffects:
         The experiment's outputs, and what else effects at outputs depend on.
     inner
         The effects at derivatives, inputs and parameters; None without such effects.
+    seen
+        In co-simulation, signals whose values are those that the FMU computes.
     """
 
     definitions: tuple[EffectDefinition, ...]
@@ -40,6 +42,7 @@ class BoundEffects:
     experiment: Experiment
     recorded: tuple[str, ...]
     inner: InnerEffects | None
+    seen: tuple[str, ...] = ()
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -141,9 +144,11 @@ def bind_effects(
     """
     outputs = tuple(output.variable for output in experiment.outputs)
     all_definitions = [definition for definition, _ in definitions]
-    experiment_with_signals = _with_dependencies(all_definitions, experiment, description)
+    seen = () if model_exchange else _seen(all_definitions, experiment, description)
+    experiment_with_signals = _with_dependencies(all_definitions, experiment, description, seen)
     extra = [n for d in all_definitions if d.site.kind == "output" for n in _dependencies(d)]
-    extra = [n for n in extra if n not in (*_columns(experiment_with_signals), *outputs)]
+    given = [n for n in _columns(experiment_with_signals) if n not in seen]
+    extra = [n for n in extra if n not in (*given, *outputs)]
     inner_effects = [
         (d, p) for d, p in definitions if d.site.kind != "output" and not _has_memory(d)
     ]
@@ -160,6 +165,7 @@ def bind_effects(
         experiment=experiment_with_signals,
         recorded=(*outputs, *dict.fromkeys(extra)),
         inner=inner,
+        seen=seen,
     )
 
 
@@ -179,10 +185,25 @@ def _dependencies(definition: EffectDefinition) -> tuple[str, ...]:
     return definition.uses
 
 
-def _with_dependencies(
+def _seen(
     definitions: Sequence[EffectDefinition], experiment: Experiment, description: ModelDescription
+) -> tuple[str, ...]:
+    """Return what the FMU computes and effects at inputs and parameters depend on."""
+    measured = {given.variable for given in experiment.signals}
+    used = dict.fromkeys(n for d in definitions if d.site.kind != "output" for n in d.uses)
+    read = [n for n in used if n in description.variables and description.variables[n].is_read]
+    return tuple(name for name in read if name not in measured)
+
+
+def _with_dependencies(
+    definitions: Sequence[EffectDefinition],
+    experiment: Experiment,
+    description: ModelDescription,
+    seen: tuple[str, ...],
 ) -> Experiment:
     """Return the experiment with the signals that effects depend on, and no others."""
+    ends = np.array([experiment.start, experiment.stop])
+    read = tuple(Input(name, ends, np.zeros(2), "hold") for name in seen)
     needed = dict.fromkeys(name for d in definitions for name in _dependencies(d))
     signals = {given.variable: given for given in experiment.signals}
     driven = [given.variable for given in experiment.inputs]
@@ -199,7 +220,7 @@ def _with_dependencies(
     return replace(
         experiment,
         inputs=(*experiment.inputs, *constants),
-        signals=tuple(given for name, given in signals.items() if name in needed),
+        signals=(*(given for name, given in signals.items() if name in needed), *read),
     )
 
 

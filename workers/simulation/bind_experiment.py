@@ -117,11 +117,13 @@ def bind_experiment(
     recorded: tuple[str, ...] | None = None,
     *,
     passing: bool = True,
+    seen: tuple[str, ...] = (),
 ) -> BoundExperiment:
     """Bind an experiment to a model: its grid, and the FMU's references for its variables.
 
     `recorded` are the variables to record; the experiment's own if None. Steps stop at all that was
-    measured unless `passing`.
+    measured unless `passing`. `seen` are signals whose values the FMU computes: those are read in
+    the place of the signals' own.
 
     Raises
     ------
@@ -154,6 +156,13 @@ def bind_experiment(
             [v if v.is_continuous else None for v in inputs], array_starts
         ),
         outputs=variable_access([description.variable(n, where) for n in outputs], array_starts),
+        seen=variable_access(
+            [
+                description.variable(given.variable, where) if given.variable in seen else None
+                for given in (*experiment.inputs, *experiment.signals)
+            ],
+            array_starts,
+        ),
     )
     structure.n_outputs = len(outputs)
     _set_grid(structure, grid if communication is None else communication.grid)

@@ -74,7 +74,11 @@ class EffectBindings:
                 model_exchange=self._model.interface == "model_exchange",
             )
             bound = bind_experiment(
-                self._model, self._description, effects.experiment, effects.recorded
+                self._model,
+                self._description,
+                effects.experiment,
+                effects.recorded,
+                seen=effects.seen,
             )
             self._bound[key] = effects, bound
         return self._bound[key]

@@ -160,10 +160,10 @@ def _note(file: str, step: float, names: Sequence[str]) -> str:
     one = len(names) == 1
     which = f"experiment {names[0]!r}" if one else f"{len(names)} experiments"
     return (
-        f"{file} communicates in steps of fixed length, every {step:g} s; {which} "
-        f"{'has' if one else 'have'} times between them, at which real outputs are interpolated "
-        "linearly, others keep their last value, and inputs act from the next step on; a shorter "
-        "model.step, if the FMU accepts it, reduces this error"
+        f"{file} communicates in fixed steps of {step:g} s, but {which} "
+        f"{'has' if one else 'have'} samples between these steps. There, real outputs are "
+        "interpolated linearly, other outputs keep their last value, and inputs take effect at "
+        "the next step. A shorter model.step, if the FMU accepts it, reduces this error"
     )
 
 

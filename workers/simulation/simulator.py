@@ -316,6 +316,7 @@ class Simulator:
                     with_memory,
                     bound_effects.recorded,
                     passing=False,  # their samples are not those of the inputs any more
+                    seen=bound_effects.seen,
                 )
             effects = bound_effects.at_points(
                 values[chunk], coefficients[chunk], self._model, self._description
@@ -378,8 +379,9 @@ class Simulator:
         solver = self._model.solver.name
         if self._model.interface != "model_exchange" or solver == "cvode":
             raise ModelError(
-                f"{self._model.name}: process noise needs model.interface model_exchange and the "
-                f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
+                f"{self._model.name}: process noise needs model.interface = model_exchange and "
+                "model.solver = dormand_prince or rk4, but they are set to "
+                f"{self._model.interface} and {solver}"
             )
 
 

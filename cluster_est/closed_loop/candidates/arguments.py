@@ -11,14 +11,20 @@ from functools import cached_property
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, integrated_states
+from cluster_est.problem.dimensions import NUMBER, KnownUnits
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
+from workers.effects.laws import Law
 from workers.effects.site import EffectSite, difference, is_difference
 from workers.fmu.description import ModelDescription
 
 ACTS = 1e-9
 """Share of a state's largest derivative below which something does not act on it."""
 
+
+FIRST_OF_READ = (Law.LINEAR, Law.SQUARE)
+"""Laws by which a parameter may follow an output at first: each is a simulation. Others are looked
+at where these lead."""
 
 TIME = ""
 """The argument of what depends on time alone: a constant, a drift, a wave."""
@@ -64,9 +70,15 @@ class OpenArguments:
         For each state the differences of itself, or of its integral, and an input of one unit that
         acts on its derivative: what a spring between a wheel and the road does to the wheel's speed
         is a function of its deflection.
+    no_ways
+        States and signals whose integral is no new way travelled: that is a state itself, or their
+        unit is known and is no rate. The integral of a flow may turn a pump, that of a temperature
+        is no way.
     feeds
         For each output the inputs that act on it at once, and not by way of states: what is missing
         in such an output may be one more term of a balance.
+    read
+        In co-simulation, the outputs that a parameter may follow.
     """
 
     states: tuple[str, ...]
@@ -77,7 +89,9 @@ class OpenArguments:
     speeds: Mapping[str, str]
     surroundings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     relative: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    no_ways: frozenset[str] = frozenset()
     feeds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    read: tuple[str, ...] = ()
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -95,9 +109,10 @@ class OpenArguments:
             return [site.targets[0], *differences, *others]
         names = [*self.states, *self.driven, *(self.outputs if site.kind == "output" else ())]
         if site.kind == "derivative":
-            return [*names, *self.relative.get(site.target, ())]
+            return [*names, *self.relative.get(site.target, ()), *self.between_states]
         if site.kind == "parameter":
-            return [*names, *dict.fromkeys(itertools.chain(*self.relative.values()))]
+            relative = dict.fromkeys(itertools.chain(*self.relative.values()))
+            return [*names, *self.read, *relative]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
     def around(self, site: EffectSite) -> list[tuple[str, str]]:
@@ -128,6 +143,11 @@ class OpenArguments:
         pairs = itertools.combinations(self.states, 2)
         return [(a, b) for a, b in pairs if self.units[a] == self.units[b]]
 
+    @cached_property
+    def between_states(self) -> dict[str, tuple[str, str]]:
+        """The differences of two states of one unit, and the two."""
+        return {difference(*names): names for names in self._of_one_unit}
+
     def takes(self, form: EffectForm, site: EffectSite, argument: str) -> bool:
         """Return whether a form of one variable at a site may be a function of an argument."""
         if site.kind == "pair":
@@ -135,18 +155,20 @@ class OpenArguments:
             if form.free and first > second:  # the same curve upside down
                 return False
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
-        if FormCondition.DRIVEN in form.when:
-            return argument in self.driven
-        if FormCondition.FEEDS in form.when:
-            return argument in self.feeds.get(site.target, ())
-        pushed = self.pushed_by(site)
-        if FormCondition.FORCE in form.when and (len(pushed) < 2 or argument not in self.states):
+        if argument in self.between_states and not form.differences:
             return False
-        if FormCondition.POSITION in form.when and self.speeds.get(argument) not in pushed:
-            return False
-        if FormCondition.NO_POSITION in form.when and argument in self.speeds.values():
-            return False
-        return FormCondition.OWN not in form.when or argument in pushed
+        pushed, state = self.pushed_by(site), argument in self.states
+        refused = {
+            FormCondition.STATE: not state,
+            FormCondition.DRIVEN: argument not in self.driven,
+            FormCondition.FEEDS: argument not in self.feeds.get(site.target, ()),
+            FormCondition.FORCE: len(pushed) < 2 or not state,
+            FormCondition.POSITION: self.speeds.get(argument) not in pushed,
+            FormCondition.NO_POSITION: argument in self.no_ways,
+            FormCondition.OTHER: argument in pushed,
+            FormCondition.OWN: argument not in pushed,
+        }
+        return not any(refused.get(condition, False) for condition in form.when)
 
     def pushed_by(self, site: EffectSite) -> Mapping[str, int]:
         """Return the states that an addition at a derivative or an input pushes, and which way."""
@@ -165,20 +187,26 @@ def open_arguments(
     signals = [{s.variable for s in e.signals} for e in problem.experiments]
     lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
     names = trajectories[0].names
+    outputs = tuple(n for n in names if n in common and n not in states)
     units = {name: description.variables[name].unit for name in states}
     pushed = _pushed(trajectories, states)
     around = _inputs_of_one_unit(description, units, pushed, common)
     speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
+    known = KnownUnits(description, dict(problem.units))
+    dimensions = {name: known.of(name) for name in (*states, *common)}
+    others = {n for n, d in dimensions.items() if d is not None and not (d.is_rate or d == NUMBER)}
     return OpenArguments(
         states=states,
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
-        outputs=tuple(n for n in names if n in common and n not in states),
+        outputs=outputs,
         units=units,
         pushed=pushed,
         speeds=speeds,
         surroundings=_surroundings(around, pushed),
         relative=_relative(around, pushed, states, speeds),
+        no_ways=frozenset({*speeds.values(), *others}),
         feeds=_feeds(trajectories, description),
+        read=() if exchange else outputs,
     )
 
 
@@ -280,6 +308,8 @@ def variables_of(
         pairs = arguments.around(site)
         return [p for p in pairs if leading is None or difference(*p) in leading]
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
+    if leading is None and site.kind == "parameter" and form.law not in FIRST_OF_READ:
+        names = [name for name in names if name not in arguments.read]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
     if FormCondition.OWN in form.when:
@@ -298,7 +328,8 @@ def open_places(
     """List the places at these sites that make physical sense in a model of many states.
 
     A force between two states is looked for where one of them acts on the other already, as a
-    function of their difference, of the first of them, or of a state that acts on both.
+    function of their difference, of the first of them, or of a state that acts on both. Of the
+    difference of two states something is a function only where both act already.
     """
     linear = [each.linear for each in trajectories if each.linear is not None]
     sizes = np.max([each.A.largest() for each in linear], axis=0)
@@ -307,7 +338,10 @@ def open_places(
     places = []
     for site in sites:
         names = arguments.at(site) if site.kind != "pair" else _between(site, index, acts)
-        names = [*names, TIME] if site.kind == "derivative" else names
+        if site.kind == "derivative":
+            row = acts[index[site.target]]
+            pairs = arguments.between_states
+            names = [n for n in names if all(row[index[x]] for x in pairs.get(n, ()))] + [TIME]
         places += [CandidatePlace(site, name) for name in names]
     return places
 

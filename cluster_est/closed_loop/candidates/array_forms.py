@@ -224,7 +224,7 @@ def shape_of(form: EffectForm) -> ArrayForm:
     where = f"form {form.name}"
     equation = parse(form.equation, symbols, where)
     reaction = parse(form.reaction or "0", symbols, where)
-    neutral = [symbols[c.name] for c in form.coefficients if c.neutral == 0.0]
+    neutral = [symbols[c.name] for c in form.coefficients if c.neutral == 0.0 and not c.scale]
     order = [symbols[name] for name in names]
     mirrored = any(reaction.has(k) and equation.has(k) for k in neutral)
     added = equation if mirrored else equation + reaction  # then no strength is in both

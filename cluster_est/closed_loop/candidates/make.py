@@ -97,6 +97,8 @@ def make_candidates(
     frequencies: Sequence[float],
     settings: LoopSettings,
     places: Collection[CandidatePlace] | None = None,
+    *,
+    beside: Collection[EffectCandidate] = (),
 ) -> list[EffectCandidate]:
     """List the candidates that the data can say something about.
 
@@ -106,22 +108,31 @@ def make_candidates(
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     places
         Where functions of a variable are tried; None for everywhere.
+    beside
+        Candidates that have been looked at: those beside them are listed, at the places alone and
+        with the forms that are looked at later.
     """
     exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
     arguments = open_arguments(problem, description, trajectories)
-    scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
-    known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
-    taken = {effect.name for effect in problem.effects}
+    units = {v.name: v.unit for v in description.variables.values()}
+    scales = SignalScales(trajectories, frequencies, exchanged, step, units)
+    effects = [*problem.effects, *(candidate.effect for candidate in beside)]
+    known = {_identity(e) for e in effects if e.form and not e.is_noise}
+    taken = {effect.name for effect in effects}
     opened, leading = OpenSites(problem, description, trajectories, settings), by_site(places or ())
     pairs = [site for site in leading if site.kind == "pair"]
     sites = opened.all if places is None else [*opened.single, *pairs]
+    if beside:
+        sites = list(leading)
     found = []
     for site in sites:
         names = None if places is None else leading.get(site, [])
-        for form in opened.forms_at(site):
+        for form in opened.forms_at(site, later=bool(beside)):
             for variables in variables_of(form, site, arguments, names):
+                if (str(site), form.name, tuple(sorted(variables))) in known:
+                    continue
                 candidate = _candidate(form, site, variables, scales, taken, arguments)
-                if candidate and _identity(candidate.effect) not in known:
+                if candidate:
                     taken.add(candidate.effect.name)
                     found.append(candidate)
     return found
@@ -207,6 +218,8 @@ def _bounds(
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
+    if coefficient.scale is GridScale.DAMPING:
+        return 0.001, 1.0
     if coefficient.positive:
         low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:
@@ -252,8 +265,8 @@ class OpenSites:
             sites += [EffectSite("output", name) for name in sorted(measured)]
         return self._chosen(sites)
 
-    def forms_at(self, site: EffectSite) -> list[EffectForm]:
-        """Return the forms to try at a site."""
+    def forms_at(self, site: EffectSite, *, later: bool = False) -> list[EffectForm]:
+        """Return the forms to try at a site; `later` those too that are looked at later."""
         forms, model = self.settings.forms, self.problem.model
         exchange = model.interface == "model_exchange"
         kinks = (exchange or self.description.variable_steps) and not noise_names(self.problem)
@@ -261,7 +274,7 @@ class OpenSites:
             form
             for (kind, name), form in FORMS.items()
             if kind == site.kind
-            and (name in forms if forms else not form.finer_than)
+            and (name in forms if forms else not form.finer_than and form.later <= later)
             and (kinks or not form.memory)  # between the samples
         ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ class SignalScales:
 
     `communication` is the step at which an FMU exchanges them, 0.0 where it does so at all times of
     the data. `step` is that of a solver which does not shorten it at a switch, 0.0 for others.
-    `units` are those of the states.
+    `units` are those of the FMU's variables.
     """
 
     trajectories: Sequence[LinearisedTrajectory]
@@ -45,12 +46,14 @@ class SignalScales:
         if FormCondition.FROM_REST in form.when and not self._begins(site.target):
             return False
         moving = variables[:1] if FormCondition.AROUND in form.when else variables
-        signals = [pooled(self.trajectories, name) for name in moving]
-        if about is not None and not all(_moves(signal) for signal in (about, *signals)):
+        others = [self._pooled(name) for name in moving[1:]]
+        if about is not None and not all(_moves(signal) for signal in (about, *others)):
             return False
         if FormCondition.OSCILLATES in form.when and (about is None or not oscillates(about)):
             return False
         if FormCondition.POSITIVE in form.when and (about is None or not _positive(about)):
+            return False
+        if FormCondition.AMOUNT in form.when and not self._is_amount(about, variables):
             return False
         spread = [c.scale for c in form.coefficients if c.scale in _ENDS]
         ends = {self.grid(FormCoefficient("", scale=scale), site, variables) for scale in spread}
@@ -64,7 +67,7 @@ class SignalScales:
         if scale is GridScale.SPECTRUM:
             return tuple(self.frequencies)
         grid = coefficient.grid or (1.0,)
-        if scale is GridScale.EXPONENT:
+        if scale in (GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING):
             return grid
         if scale is GridScale.ABSOLUTE_ZERO:
             above = _ABOVE_ZERO.get(self.units.get(variables[0], ""))
@@ -91,7 +94,7 @@ class SignalScales:
     ) -> FloatArray | None:
         """The signal whose size a scale is."""
         if scale in _OF_SECOND:
-            return pooled(self.trajectories, variables[1])
+            return self._pooled(variables[1])
         return self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
 
     def _spread(
@@ -132,29 +135,44 @@ class SignalScales:
         rates = [float(np.abs(linear.A.row(place)[:, place]).max()) for linear, place in pairs]
         return max(1.0 / self.resolution, *rates, 0.0) / SHORTEST_TIME
 
+    def _is_amount(self, about: FloatArray | None, variables: tuple[str, ...]) -> bool:
+        warm = bool(variables) and self.units.get(variables[0], "") in _ABOVE_ZERO
+        return about is not None and not warm and _positive(about)
+
+    def _pooled(self, name: str) -> FloatArray:
+        """A signal of all experiments."""
+        if name not in self._known:
+            self._known[name] = pooled(self.trajectories, name)
+        return self._known[name]
+
+    @cached_property
+    def _known(self) -> dict[str, FloatArray]:
+        return {}
+
     def _begins(self, name: str) -> bool:
         """Return whether a signal is not zero at the start of some experiment."""
         starts = [each.signal(name)[0] for each in self.trajectories if each.has(name)]
-        reach = 1e-6 * float(np.abs(pooled(self.trajectories, name)).max())
+        reach = 1e-6 * float(np.abs(self._pooled(name)).max())
         return bool(np.abs(starts).max() > reach)
 
     def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
         """The signal that a form bends: its variable, else that at the site."""
-        return pooled(self.trajectories, variables[0]) if variables else self._signal(site)
+        return self._pooled(variables[0]) if variables else self._signal(site)
 
     def _signal(self, site: EffectSite) -> FloatArray | None:
         if site.kind in ("input", "output"):
-            return pooled(self.trajectories, site.target)
+            return self._pooled(site.target)
         return None
 
-    @property
+    @cached_property
     def resolution(self) -> float:
         """What time resolves: the usual interval between measurements, or between communications.
 
         Time constants and delays are multiples of it.
         """
-        return max(self._step(), self.communication)
+        return max(self._step, self.communication)
 
+    @cached_property
     def _step(self) -> float:
         """The usual interval between measurements; the grid has other times too."""
         measured = [c.times[np.unique(c.rows)] for c in self.trajectories]
@@ -176,7 +194,7 @@ class SignalScales:
         """Largest rate of change of a signal, at most its range within a sampling interval."""
         pairs = [(trajectory.signal(name), trajectory.times) for trajectory in self.trajectories]
         largest = max(float(np.abs(np.diff(s) / np.diff(t)).max(initial=0.0)) for s, t in pairs)
-        return min(largest, float(np.ptp(pooled(self.trajectories, name))) / self._step())
+        return min(largest, float(np.ptp(self._pooled(name))) / self._step)
 
     def _crossed(self, name: str) -> float:
         """How far a signal usually moves in a step: what is narrower is stepped across unseen."""

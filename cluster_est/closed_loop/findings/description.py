@@ -49,8 +49,8 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
             place = str(candidate.site), candidate.effect.variables
             places.setdefault(place, []).append(candidate.form.name)
     return tuple(
-        f"{in_a_row(names)} are functions of {argument} at {site}: the data determine their sum; "
-        "its split between them, and so their names, are less certain"
+        f"{in_a_row(names)} are functions of {argument} at {site}: the data determine the sum of "
+        "these terms; the part of each term, and so its name, is less certain"
         for (site, (argument,)), names in places.items()
         if len(names) > 1
     )

@@ -14,7 +14,7 @@ import numpy as np
 import sympy as sp
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.dimensions import (
+from cluster_est.problem.dimensions import (
     ACCELERATION,
     AMOUNT,
     ANGLE,
@@ -403,7 +403,8 @@ def _kinetics(placed: PlacedLaw) -> str:
         return "an exponential rise with temperature (as of Arrhenius)" if placed.gain else ""
     if not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
         return ""
-    if placed.law in (Law.SATURATING, Law.HILL, Law.INVERSE) and placed.kind == "parameter":
+    inhibits = (Law.SATURATING, Law.HILL, Law.HILL_POWER, Law.INVERSE)
+    if placed.law in inhibits and placed.kind == "parameter":
         return "inhibition" if placed.loss else ""
     return "saturation (as of Michaelis and Menten)" if placed.law is Law.SATURATING else ""
 

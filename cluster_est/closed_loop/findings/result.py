@@ -100,6 +100,9 @@ class LoopResult(ResultView):
         plans an experiment for. Empty where nothing was added, and with process noise.
     process_noise
         Its strength before and after; empty where nothing was added.
+    left_out
+        Times of the samples that were left out as outliers, by experiment and output: what the key
+        `left_out` of an experiment says.
     """
 
     verdict: Verdict
@@ -126,6 +129,7 @@ class LoopResult(ResultView):
     resampled: str = ""
     competing: tuple[CompetingModel, ...] = ()
     process_noise: tuple[NoiseChange, ...] = ()
+    left_out: Mapping[str, Mapping[str, Sequence[float]]] = dataclasses.field(default_factory=dict)
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any.
@@ -236,6 +240,7 @@ class LoopResult(ResultView):
             "noise": self.noise,
             "notes": list(self.notes),
             "sites": list(self.sites),
+            "left_out": {record: dict(own) for record, own in self.left_out.items()},
         }
 
     @property

@@ -194,7 +194,7 @@ def _judged(
         rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
     if closed > most:
-        reason = f"{share}; structure is left in the residual"
+        reason = f"{share}; the residual still has structure"
         return ReasonedVerdict(Verdict.PARTIAL, reason, closed, most)
     if base.of_sensors:
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import (
+    CandidatePlace,
     count_candidates,
     open_arguments,
     open_places,
@@ -69,9 +70,12 @@ SHORTEST_SPECTRUM = 16
 PEAKS, PEAK_DISTANCE = 2, 0.1
 """Frequencies of the residual's spectrum that periodic effects begin with, and the relative
 distance from which on two are different."""
-CURVE_PLACES, PROBED_PLACES = 12, 4
-"""Places of leading free curves at which finer ones are looked at; the same where each value of a
-curve takes simulations of its own, as in co-simulation."""
+LATER_PLACES = 10
+"""Leading places at which forms are tried that differ little from others."""
+CURVE_PLACES = 12
+"""Places of leading free curves at which finer ones are looked at."""
+PROBED_PLACES = 4
+"""Both where each candidate takes simulations of its own, as in co-simulation."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,8 @@ def screen(
     draws = settings.draws
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
-        return min(ranking.unseen * family_wise(scores, generator, draws), 1.0)
+        first = scores.first(ranking.first)
+        return min(ranking.unseen * family_wise(first, generator, draws), 1.0)
 
     tests: list[Callable[[], Any]] = [
         lambda: structure(ranking.residual, ranking.records),
@@ -237,6 +242,9 @@ class CandidateRanking:
         What they were scored against.
     unseen
         Candidates that were looked at, if only by their places, for each that was compared itself.
+    first
+        Number of the trials whose choice does not depend on the residual. Those behind them are
+        forms that are looked at later, at the places that led: family-wise tests are of the first.
     """
 
     trials: tuple[CandidatePoint, ...]
@@ -248,6 +256,7 @@ class CandidateRanking:
     residual: ProjectedResidual = field(repr=False)
     residual_white: ProjectedResidual = field(repr=False)
     unseen: float = 1.0
+    first: int = 0
 
     @property
     def count(self) -> int:
@@ -283,11 +292,11 @@ def rank(
     """
     trajectories = fitter.trajectories(fitted)
     candidates, possible = _candidates(fitter, settings, fitted, trajectories, chosen)
-    trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
+    trials = points_of(candidates)
     width = sum(trial.width for trial in trials)
     most = min(SCREENING.most_rows, SCREENING.most_values // max(width, 1))
     records, rows = thinned(fitter.records, most)
-    columns = tuple(candidate_columns(fitter, fitted, trajectories, trials, rows))
+    columns = candidate_columns(fitter, fitted, trajectories, trials, rows)
     matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
     plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
     cleaned = plain.projection.remove(residuals)
@@ -298,17 +307,63 @@ def rank(
         return whiten(values, records, coefficients)
 
     white = ProjectedResidual(OrthogonalProjection(whitened(matrix)), whitened(residuals))
-    return CandidateRanking(
-        trials=trials,
-        columns=columns,
-        rows=rows,
-        records=records,
-        plain=score(plain.projection, plain.residuals, columns, CONFOUNDED),
-        white=score(white.projection, white.residuals, columns, CONFOUNDED, whitened),
+
+    def scored(columns: Sequence[FloatArray]) -> tuple[ScoreTests, ScoreTests]:
+        return (
+            score(plain.projection, plain.residuals, columns, CONFOUNDED),
+            score(white.projection, white.residuals, columns, CONFOUNDED, whitened),
+        )
+
+    found = CandidateRanking(
+        trials,
+        tuple(columns),
+        rows,
+        records,
+        *scored(columns),
         residual=plain,
         residual_white=white,
         unseen=max(possible / max(len(candidates), 1), 1.0),
+        first=len(trials),
     )
+    further = points_of(_beside(fitter, settings, fitted, trajectories, found))
+    if not further:
+        return found
+    new = candidate_columns(fitter, fitted, trajectories, further, rows)
+    more_plain, more_white = scored(new)
+    return replace(
+        found,
+        trials=(*trials, *further),
+        columns=(*columns, *new),
+        plain=found.plain.with_more(more_plain),
+        white=found.white.with_more(more_white),
+    )
+
+
+def points_of(candidates: Sequence[EffectCandidate]) -> tuple[CandidatePoint, ...]:
+    """Return the points of the grids of candidates."""
+    return tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
+
+
+def _beside(
+    fitter: Fitter,
+    settings: LoopSettings,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    seen: CandidateRanking,
+) -> list[EffectCandidate]:
+    """The candidates of the forms that are looked at later, at the places that lead."""
+    scores = seen.plain
+    rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
+    most = LATER_PLACES if fitter.by_linear_systems else PROBED_PLACES
+    places: dict[CandidatePlace, None] = {}
+    for i in np.argsort(-rank, kind="stable").tolist():
+        candidate = seen.trials[i].candidate
+        if len(places) < most and scores.df[i] and candidate.form.variables == 1:
+            places[CandidatePlace(candidate.site, *candidate.effect.variables)] = None
+    known = {trial.candidate.effect: trial.candidate for trial in seen.trials}
+    given = (fitted.problem, fitter.description, trajectories, ())
+    beside = list(known.values())
+    return make_candidates(*given, settings, places, beside=beside) if places else []
 
 
 def _candidates(

@@ -23,6 +23,7 @@ from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,
     sigma_without_output,
+    without_samples,
 )
 from cluster_est.problem.tables.measured_table import (
     Column,
@@ -140,6 +141,7 @@ def experiment_from_table(
     columns: Mapping[str, Mapping[str, float | bool]] | None = None,
     rows: tuple[int, int] | None = None,
     missing: float | Sequence[float] = (),
+    left_out: Mapping[str, Sequence[float]] | None = None,
     start: float | None = None,
     stop: float | None = None,
     values: Mapping[str, Value] | None = None,
@@ -193,6 +195,8 @@ def experiment_from_table(
         (from, to): rows from (counted from 0) up to, not with, to.
     missing
         One or several numbers in the columns that mean that nothing was measured, such as -9999.
+    left_out
+        {FMU output: times in seconds of samples that do not count}, such as outliers.
     start, stop
         Simulated interval in seconds; by default as far as the data goes.
     values
@@ -200,7 +204,7 @@ def experiment_from_table(
     role
         "train", or "test" for an experiment that is only predicted.
     groups
-        Labels by key, for parameters that are per "group:KEY".
+        Labels by key, for parameters with ``per = "group:KEY"``.
     gaps
         "split" lets what is behind a gap in which inputs may have moved begin with initial states
         of its own, which a fit estimates; "bridge" draws inputs through.
@@ -238,6 +242,7 @@ def experiment_from_table(
         _output(reader, times, name, given, (sigmas[name], parts[name]), time)
         for name, given in wanted["outputs"].items()
     ]
+    measured = _without_left_out(measured, left_out or {}, f"{where}.left_out")
     if start is None:
         driven = [each["column"] for each in wanted["inputs"].values()]
         others = [each["column"] for k in ("outputs", "signals") for each in wanted[k].values()]
@@ -307,6 +312,25 @@ def _output(
         observed["ordinal"] = True
     clock = Clock(time, given.get("time", ""))
     return replace(reader.output(times, name, given["column"], *sigmas, clock), **observed)
+
+
+def _without_left_out(
+    measured: Sequence[Output], left_out: Mapping[str, Sequence[float]], where: str
+) -> list[Output]:
+    """The outputs without the samples that do not count."""
+    names = [output.variable for output in measured]
+    times: dict[str, tuple[float, ...]] = {}
+    for name, given in left_out.items():
+        check_name(name, f"{where}: an output", DataError)
+        if name not in names:
+            raise DataError(sigma_without_output(where, name, names))
+        for i, time in enumerate(given):
+            check_number(time, f"{where}.{name}[{i}]", DataError)
+        times[name] = tuple(given)
+    return [
+        without_samples(each, times.get(each.variable, ()), f"{where}.{each.variable}")
+        for each in measured
+    ]
 
 
 def _of_outputs(

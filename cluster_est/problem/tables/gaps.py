@@ -261,8 +261,8 @@ EFFECTS: Mapping[Treatment, tuple[str, str]] = {
         " may have changed there, and is interpolated in a straight line or held",
         'gaps = "split" in the experiment starts a new part after it',
     ),
-    "before": ("the record begins after it", ""),
-    "run through": ("the inputs are known there, and the simulation continues through it", ""),
+    "before": ("the record begins after the gap", ""),
+    "run through": ("the inputs are known in the gap, and the simulation continues through it", ""),
 }
 """What became of gaps, and what changes it."""
 

@@ -24,6 +24,9 @@ from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
 
+SAME_TIME = 1e-9
+"""Difference of a time and a sample's, over the time or the record's length, that is rounding."""
+
 
 @dataclass(frozen=True)
 class ColumnChange:
@@ -356,6 +359,28 @@ def missing_time(where: str, time: str | None, sample_time: float | None) -> str
         return ""
     has = "both; remove one" if given else "neither; add one"
     return f"{where}: must have either time (a column) or sample_time (seconds) but has {has}"
+
+
+def without_samples(output: Output, times: Sequence[float], where: str) -> Output:
+    """Return an output without its samples at some times, which may differ by rounding.
+
+    Raises
+    ------
+    DataError
+        If there is no sample at one of the times.
+    """
+    kept = np.ones(len(output.times), bool)
+    for time in times:
+        apart = np.abs(output.times - time)
+        at = int(np.argmin(apart)) if len(apart) else 0
+        if not len(apart) or apart[at] > SAME_TIME * max(abs(time), float(np.ptp(output.times))):
+            nearest_time = f"; the nearest is {output.times[at]:.10g} s" if len(apart) else ""
+            raise DataError(
+                f"{where}: must be the times of samples but there is none at {time:.10g} s"
+                f"{nearest_time}; correct or remove it"
+            )
+        kept[at] = False
+    return output if kept.all() else output.only(kept)
 
 
 def sigma_without_output(where: str, name: str, outputs: Collection[str]) -> str:

@@ -52,6 +52,25 @@ def test_tables_are_without_them(run: Path) -> None:
     assert [row["rmse_after"] for row in errors] == pytest.approx([NOISE] * 3, rel=0.3)
 
 
+def test_a_fit_with_what_the_loop_says_has_the_same_samples_and_cost(
+    run: Path, tmp_path: Path
+) -> None:
+    found = facts(run)
+    expected = {name: {"y": [0.02 * row for row in off]} for name, off in SPOILED.items()}
+    assert found["left_out"].keys() == expected.keys()
+    for name, own in expected.items():
+        assert found["left_out"][name]["y"] == pytest.approx(own["y"])
+    (note,) = (note for note in found["notes"] if "for a fit to the same samples" in note)
+    assert "left_out.y = [0.6, 1.54] to experiment 'run0'" in note
+    text = (run.parent / "config.toml").read_text()
+    for name, own in found["left_out"].items():
+        text = text.replace(f'id = "{name}"', f'id = "{name}"\nleft_out.y = {own["y"]}')
+    config = run.parent / "same_samples.toml"
+    config.write_text(text + "\n" + found["effects"][0]["config"])
+    assert main(["fit", str(config), "--out", str(tmp_path / "fit")]) == 0
+    assert facts(tmp_path / "fit")["cost"] == pytest.approx(found["cost"], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     "shares", [(0.5,), pytest.param((0.9, 1.0, 0.05, 0.98, 0.7), marks=pytest.mark.slow)]
 )

@@ -21,7 +21,8 @@ from support.problems.driven_springs import (
     pushed_by_waves,
 )
 from support.problems.measured_springs import measured_springs
-from support.truth.springs_with_effects import M, pushed
+from support.truth.springs_with_effects import M, plain, pushed, solve
+from support.truth.systems_with_missing_effects import missing_effect_problem
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
@@ -61,6 +62,30 @@ def test_a_wave_that_cannot_be_believed_is_not_added(frequency, ways):
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
     assert "sinusoids or drifts in time" in found.message
+
+
+def test_a_spring_and_a_damper_in_series_are_found():
+    """Their force is a state that the model lacks: 5 N/m for each kg, 0.4 s."""
+
+    def slope(t, x, force):
+        v, dv = plain(t, x, force)
+        return [v, dv - x[2], 5.0 * v - x[2] / 0.4]
+
+    problem = missing_effect_problem("mass_spring_damper", signals=())
+    runs, generator = [], np.random.default_rng(2)
+    for run in problem.experiments:
+        (given,), (shown,) = run.inputs, run.outputs
+        y = solve(slope, (0.1, 0.0, 0.0), given.times, given.values)[:, 0]
+        seen = replace(shown, values=y + 0.002 * generator.standard_normal(len(y)), sigma=0.002)
+        runs.append(replace(run, outputs=(seen,)))
+    forms = settings("der(v)", "store", "coulomb", "linear", max_effects=1)
+    found = ce.close_loop(replace(problem, experiments=tuple(runs)), settings=forms)
+    assert found.verdict == Verdict.FOUND
+    (effect,) = found.effects
+    assert (effect.form, effect.effect.variables) == ("store", ("x",))
+    assert effect.words == "an exchange with a hidden store that follows x"
+    values = {c.label.rpartition(".")[2]: c.value for c in effect.coefficients}
+    assert values == pytest.approx({"k": 5.0, "tau": 0.4}, rel=0.1)
 
 
 def gusts(seed: int, size: float) -> np.ndarray:

@@ -419,7 +419,7 @@ class TestWhereSomethingIsOpen:
         capsys.readouterr()
         assert main(CHECK) == 1
         said = " ".join(capsys.readouterr().out.split())
-        assert "column 'time [ms]' is given to time, which is in s, as it is" in said
+        assert "column 'time [ms]' is given to time, which is in s, without a conversion" in said
         assert "columns.y_mm = { factor = 0.001, offset = 0 }" in said
         assert "F [N]" not in said
 
@@ -427,7 +427,7 @@ class TestWhereSomethingIsOpen:
         path = tmp_path / "a.csv"
         path.write_text("time,F,y\nnoon,1,2\nlater,1,2\n", encoding="utf-8")
         text, _, _ = written(path)
-        assert "# column 'time' has no numbers: dates, or a row of units" in text
+        assert "# column 'time' has no numbers; remove a row of units" in text
 
     def test_a_time_with_two_meanings_is_asked_for(self, written, tmp_path, capsys):
         path = tmp_path / "a.csv"

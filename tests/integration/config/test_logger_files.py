@@ -197,7 +197,7 @@ def test_units_below_the_header_are_compared_with_those_of_the_model(tmp_path, m
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
     assert main(["check", "first.toml"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "column 'y' in mm is given to y, which is in m, as it is" in said
+    assert "column 'y' in mm is given to y, which is in m, without a conversion" in said
     assert "columns.y = { factor = 0.001, offset = 0 }" in said
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\ncolumns.y = { factor = 0.001 }\n')
     main(["check", "first.toml"])

@@ -72,6 +72,7 @@ def test_a_form_does_what_its_equation_says(shown, truth, solver):
 
 
 SIZES = {
+    "arrhenius": {"at": 0.1, "zero": 30.0},
     "exponential": {"k": -0.4, "width": 0.5},
     "inverse": {"k": 0.1},
     "inverse_square": {"k": 0.1},

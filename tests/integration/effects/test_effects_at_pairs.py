@@ -19,20 +19,25 @@ ROAD = 0.03 * np.sin(9.0 * TIMES) + 0.02 * np.sin(4.0 * TIMES)
 VALUES = {"m_body": M_BODY, "m_wheel": M_WHEEL, "k_spring": SPRING, "c_damper": DAMPER}
 
 
-def solved(force):
-    """The body's velocity and the travel; `force` is what is added to the two accelerations."""
+def solved(force, *own):
+    """The body's velocity and the travel; `force` is what is added to the two accelerations.
+
+    `own` are the rates of further states, of all states, which begin at zero.
+    """
 
     def slope(t, x):
-        z_body, v_body, z_wheel, v_wheel = x
+        z_body, v_body, z_wheel, v_wheel = x[:4]
         road = np.interp(t, TIMES, ROAD)
         suspension = SPRING * (z_body - z_wheel) + DAMPER * (v_body - v_wheel)
         body, wheel = force(x)
         pushed = (suspension - TYRE * (z_wheel - road)) / M_WHEEL
-        return [v_body, -suspension / M_BODY + body, v_wheel, pushed + wheel]
+        rates = [v_body, -suspension / M_BODY + body, v_wheel, pushed + wheel]
+        return [*rates, *(rate(x) for rate in own)]
 
     solver = ode(slope).set_integrator("dop853", rtol=1e-9, atol=1e-11, nsteps=10_000)
-    solver.set_initial_value(np.zeros(4), 0.0)
-    x = np.array([np.zeros(4), *(solver.integrate(t) for t in TIMES[1:])]).T
+    start = np.zeros(4 + len(own))
+    solver.set_initial_value(start, 0.0)
+    x = np.array([start, *(solver.integrate(t) for t in TIMES[1:])]).T
     return np.column_stack([x[1], x[0] - x[2]])
 
 
@@ -105,6 +110,18 @@ def test_a_curve_between_two_states_acts_on_both_in_proportion(simulated, withou
     effect = Effect("e", "pair v_body,v_wheel", form, TRAVEL)
     found = simulated(effect, (*heights, 7.5, places[0], places[-1]))
     np.testing.assert_allclose(found, truth, atol=2e-5)
+
+
+def test_a_spring_and_a_damper_in_series_between_two_states(simulated, without):
+    """Its force per k is a state: it grows with the speed of the travel, and relaxes."""
+
+    def force(x):
+        return -30.0 * x[4], 220.0 * x[4]
+
+    truth = solved(force, lambda x: x[1] - x[3] - x[4] / 0.2)
+    assert np.abs(truth - without).max() > 3e-3
+    effect = Effect("e", "pair v_body,v_wheel", "store", TRAVEL)
+    np.testing.assert_allclose(simulated(effect, (30.0, 220.0, 0.2)), truth, atol=1e-6)
 
 
 def test_an_equation_of_ones_own_with_a_reaction(simulated, without):

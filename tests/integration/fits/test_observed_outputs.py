@@ -120,7 +120,7 @@ def test_standard_errors_are_those_that_the_estimates_scatter_by():
 
 @pytest.mark.parametrize("how", [{"free_scale": True}, {"detection_limit": 0.0}, {"ordinal": True}])
 def test_the_closed_loop_takes_outputs_as_they_are(how):
-    with pytest.raises(ProblemError, match="output y must be compared as it is"):
+    with pytest.raises(ProblemError, match="output y must be compared directly"):
         ce.close_loop(observed(**how))
 
 

@@ -161,7 +161,7 @@ def still(problem):
 @pytest.mark.parametrize(
     ("change", "how", "said"),
     [
-        (still, {}, "output y: must have at least two different values if it is ordinal"),
+        (still, {}, "output y: an ordinal output must have at least two different values"),
         (lambda p: replace(p, cost=COSTS["huber"]()), {}, "must be used with the cost sse"),
         (None, {"uncertainty": ce.UncertaintySettings(profiles=("k",))}, "uncertainty.profiles"),
         (None, {"uncertainty": ce.UncertaintySettings(posterior=1000)}, "has an ordinal output"),

@@ -43,7 +43,9 @@ def test_it_ends_at_the_first_time_at_which_the_sum_is_above_the_bound(solver):
     for bound, outcome in zip(bounds, ended, strict=True):
         first = times[int(np.argmax(partial > bound))]
         assert outcome.status is Status.ENDED_EARLY
-        assert re.search(f"squares was above the bound.* at t = {first:.9g} s", outcome.message)
+        assert re.search(
+            f"squares had already exceeded the bound.* at t = {first:.9g} s", outcome.message
+        )
         assert outcome.residuals is None
         assert (outcome.ok, outcome.failed) == (False, False)
     for outcome in (above, free):  # those that were ended before it leave no trace

@@ -109,7 +109,7 @@ def test_a_run_that_goes_on_says_so_and_loads_itself_again(copied):
     cut(copied / "evaluations", 20, torn=100)
     page = Page(write_report(copied, reload=7.0))
     assert page.of("body") == [{"data-reload": "7.0"}]
-    assert "The run goes on" in page.text
+    assert "The run is in progress" in page.text
     assert "every 7 s" in page.text
     assert sections(page) == ["search", "workers", "provenance"]
     assert page.of("body") != Page(write_report(copied)).of("body")
@@ -122,7 +122,7 @@ def test_an_interrupted_run_shows_what_is_there(copied):
     (copied / "run.json").write_text('{"status": "interrupted", "message": "interrupted; early"}')
     text = Page(write_report(copied)).text
     assert "The run was interrupted" in text
-    assert "It left no results" in text
+    assert "The run left no results" in text
 
 
 def test_what_is_no_run_or_damaged_is_said_in_a_sentence(copied, tmp_path, capsys):

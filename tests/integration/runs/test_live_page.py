@@ -110,7 +110,7 @@ def test_everybody_else_is_refused(begun, wrong):
         for method, path in asked:
             answer, content = Visitor(page).ask(path, method, **WRONG[wrong])
             assert answer.status == 403, path
-            assert b"the address that the command has printed" in content
+            assert b"the address that the command printed" in content
     assert not (begun.path / "stop").exists()
 
 
@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_is_not_stopped(ended):
     with LivePage(ended) as page:
         answer, content = Visitor(page).ask("/stop", "POST")
     assert answer.status == 409
-    assert b"must be a run that goes on to be stopped but is done" in content
+    assert b"must be a run in progress to be stopped but is done" in content
     assert not (ended / "stop").exists()
 
 
@@ -229,7 +229,7 @@ def test_curves_of_the_best_point_are_simulated_once_more(configured, on_its_way
         visitor = Visitor(page)
         found = visitor.state("/curves", experiment="exp2")
         assert (found["experiment"], len(found["experiments"])) == ("exp2", 5)
-        assert "simulated once more" in found["said"]
+        assert "Simulated for this page" in found["said"]
         (curve,) = found["outputs"]
         assert visitor.state("/curves", experiment="none")["experiment"] == "exp1"
         starts = {row["label"]: row["start"] for row in visitor.state()["parameters"]}
@@ -253,7 +253,7 @@ def test_the_folder_has_the_curves_of_a_run_that_has_ended(configured):
     ("change", "said"),
     [
         ({"config_folder": "/nowhere"}, "its config was in /nowhere, which is not here"),
-        ({"config_folder": None}, "must know where the files of its config are"),
+        ({"config_folder": None}, "must record the folder of its config's files but does not"),
     ],
 )
 def test_why_there_are_no_curves_is_said(on_its_way, change, said):
@@ -323,9 +323,9 @@ def test_watch_serves_the_page_until_ctrl_c(ended, capsys, monkeypatch):
 
 def test_watch_refuses_what_it_cannot_show(ended, tmp_path, capsys):
     assert main(["watch", str(tmp_path), "--browser"]) == 2
-    assert "none in the folders below it" in capsys.readouterr().err
+    assert "neither this folder nor a folder in it has a run.json" in capsys.readouterr().err
     assert main(["watch", str(ended), "--browser", "--json"]) == 2
-    assert "leave --json out" in capsys.readouterr().err
+    assert "must be used without --json" in capsys.readouterr().err
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert main(["watch", str(ended), "--browser", "--port", port]) == 2
@@ -431,4 +431,4 @@ def test_in_a_browser_runs_are_sorted_and_lead_to_their_pages(ended, configured,
         page.locator("#all").click()
         page.wait_for_selector("#runs tbody tr")
         page.goto(served.address.partition("?")[0])
-        assert "by the address that the command has printed" in page.content()
+        assert "with the address that the command printed" in page.content()

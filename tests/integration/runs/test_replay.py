@@ -130,7 +130,7 @@ def test_a_crash_is_told_by_its_signal(tmp_path, replay, built_fmu):
 
 def test_where_the_files_of_the_config_are(run, capfd):
     for folder, arguments, said in (
-        (None, [], "name the config that it was made from with --config"),
+        (None, [], "name the original config with --config"),
         (str(run / "no"), [], "which is not here; name the config with --config"),
         (str(run / "no"), ["--config", "no.toml"], "there is no config file no.toml"),
     ):

@@ -136,7 +136,7 @@ def test_it_ends_with_the_run_and_keeps_the_report_fresh(begun):
     watcher.join(60.0)
     assert not watcher.is_alive()
     assert (seen[0].status, seen[-1].status) == ("running", "done")
-    assert "The run goes on" in pages[0]
+    assert "The run is in progress" in pages[0]
     assert "<body data-reload" in pages[0]
     assert "Fitted to the noise: error " in pages[-1]
     assert "<body data-reload" not in pages[-1]

@@ -17,6 +17,7 @@ from support.truth.springs_with_effects import (
     C,
     M,
     Slope,
+    late_states,
     plain,
     pushed,
     solve,
@@ -58,6 +59,15 @@ def _gap(v: Any, k: float, at: float) -> Any:
     return -k * (np.maximum(v - at, 0.0) - np.maximum(-v - at, 0.0))
 
 
+def _sigmoid(v: Any, half: float, n: float) -> Any:
+    """Of Hill: nothing at values that are no amounts."""
+    return 1.0 / (1.0 + (half / np.maximum(v, 1e-30)) ** n)
+
+
+def _cut(s: Any, t: Any, k: float, width: float) -> Any:
+    return s / (1.0 + np.exp(-2.0 * (abs(s) - k) / width))
+
+
 def _fourth_powers(v: Any, w: Any, k: float, zero: float) -> Any:
     return -k * ((v + zero) ** 4 - (w + zero) ** 4)
 
@@ -80,6 +90,8 @@ DERIVATIVE: dict[str, tuple[tuple[float, ...], str, Callable[..., Any]]] = {
     "asymmetric_coulomb": ((0.5, 0.2, 0.05), "", _asymmetric),
     "linear": ((-4.0,), "x", lambda v, k: k * v),
     "saturating": ((-2.0, 0.05), "x", lambda v, k, half: k * v / (half + abs(v))),
+    "hill_power": ((-0.5, 0.05, 3.0), "x", lambda v, k, *c: k * _sigmoid(v, *c)),
+    "switch": ((0.4, 0.02), "x", lambda v, k, width: k * np.tanh(v / width)),
     "square": ((9.0,), "x", lambda v, k: k * v**2),
     "product": ((0.1,), "x F", lambda v, w, k: k * v * w),
     "hinge": ((-50.0, 0.05), "x", lambda v, k, at: k * np.maximum(v - at, 0.0)),
@@ -125,11 +137,17 @@ CHANGES: dict[str, _Change] = {
         lambda s, t, n, ref: ref * np.sign(s) * (abs(s) / ref) ** n,
     ),
     "saturating": ((0.2,), (2.0,), lambda s, t, k: s / (1.0 + k * abs(s))),
-    "asymmetry": ((0.3,), (), lambda s, t, k: s + k * np.maximum(s, 0.0)),
+    "asymmetry": ((0.3,), (0.3,), lambda s, t, k: s + k * np.maximum(s, 0.0)),
     "saturation": ((2.0,), (0.1,), lambda s, t, limit: np.clip(s, -limit, limit)),
     "clip_above": ((), (0.04,), lambda s, t, limit: np.minimum(s, limit)),
     "clip_below": ((), (-0.03,), lambda s, t, limit: np.maximum(s, limit)),
-    "dead_zone": ((1.0,), (), lambda s, t, k: np.where(abs(s) > k, s - k * np.sign(s), 0.0)),
+    "dead_zone": ((1.0,), (0.03,), lambda s, t, k: np.where(abs(s) > k, s - k * np.sign(s), 0.0)),
+    "cut_off": ((1.0, 0.2), (0.03, 0.002), _cut),
+    "periodic": (
+        (),
+        (0.01, 0.02, 40.0),
+        lambda s, t, a, b, n: s + np.hypot(a, b) * np.sin(n * s + np.arctan2(b, a)),
+    ),
     "absolute": ((), (0.3,), lambda s, t, k: s + k * abs(s)),
     "hum": ((), (0.03, 0.02, 7.0), lambda s, t, *c: s + DERIVATIVE["sine"][2](t, *c)),
     **{
@@ -151,6 +169,12 @@ PARAMETER: dict[str, tuple[tuple[float, ...], str, Callable[..., Any]]] = {
     "power": ((0.5, 0.1), "v", lambda t, v: (abs(v) / 0.1) ** 0.5 - 1.0),
     "exponential": ((1.5, 0.1), "v", lambda t, v: np.exp(1.5 * (v - 0.1)) - 1.0),
     "saturating": ((0.8, 0.1), "v", lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
+    "hill_power": ((0.8, 0.1, 3.0), "v", lambda t, v: -0.8 * _sigmoid(v, 0.1, 3.0)),
+    "arrhenius": (
+        (0.9, 0.1, 3.0),
+        "v",
+        lambda t, v: np.exp(0.9 / 3.1) / np.exp(0.9 / (v + 3.0)) - 1.0,
+    ),
     "hill": ((0.8, 0.1), "v", lambda t, v: -0.8 * (v / 0.1) ** 2 / (1.0 + (v / 0.1) ** 2)),
 } | {
     f"table{end}": (
@@ -190,6 +214,7 @@ OWN_TESTS = {
     ("input", "rate_limit"): "test_a_limited_rate_of_an_input",
     ("input", "rate_limit_from_rest"): "test_a_limited_rate_of_an_input",
     ("output", "hysteresis"): "test_hysteresis_of_a_sensor",
+    ("pair", "store"): "test_a_spring_and_a_damper_in_series_between_two_states",
 }
 """Forms that need more than a truth below: their tests in `tests/integration/effects`."""
 
@@ -329,6 +354,21 @@ def _ripple(t: float, x: np.ndarray, f: float) -> float:
     return 0.3 * np.sin(40.0 * way) + 0.2 * np.cos(40.0 * way)
 
 
+def _lagged_damping(t: float, x: np.ndarray, f: float) -> list[float]:
+    v, dv = plain(t, x, f)
+    return [v, dv - C / M * 0.9 * (x[2] - 0.02) * v, (v - x[2]) / 0.3]
+
+
+def _recycled() -> np.ndarray:
+    """The position with a spring to where the body was 0.1 s ago, exactly."""
+    return late_states(lambda x, late: [0.0, -4.0 * late[0]], 0.1)
+
+
+def _late_damping() -> np.ndarray:
+    """The position with a damping that depends on the speed 0.1 s ago, exactly."""
+    return late_states(lambda x, late: [0.0, -C / M * 0.9 * (late[1] - 0.02) * x[1]], 0.1)
+
+
 def _heated(t: float, x: np.ndarray, f: float) -> list[float]:
     v, dv = plain(t, x, f)
     return [v, dv - C / M * 0.9 * (x[2] - 0.02) * v, (v**2 - x[2]) / 0.6]
@@ -341,6 +381,46 @@ def _sensor(f: float, d: float) -> np.ndarray:
         return [*plain(t, x, force), x[3], _swing(x[0], x[2], x[3], f, d)]
 
     return solve(slope, (*START, START[0], 0.0))[:, 2]
+
+
+def _relaxing(*rates: tuple[float, float]) -> Slope:
+    """With springs, each in series with a damper: their forces are the further states."""
+
+    def slope(t: float, x: np.ndarray, f: float) -> list[float]:
+        v, dv = plain(t, x, f)
+        forces = [k * v - p / tau for p, (k, tau) in zip(x[2:], rates, strict=True)]
+        return [v, dv - sum(x[2:]), *forces]
+
+    return slope
+
+
+def _carrying(t: float, x: np.ndarray, f: float) -> list[float]:
+    """With a mass of 0.2 of its own on a spring and a damper."""
+    v, dv = plain(t, x, f)
+    pulled = 9.0**2 * (x[0] - x[2]) + 2.0 * 0.1 * 9.0 * (v - x[3])
+    return [v, dv - 0.2 * pulled, x[3], pulled]
+
+
+def _led(t: float, x: np.ndarray, f: float) -> list[float]:
+    return [*plain(t, x, f + 0.5 * (f - x[2])), (f - x[2]) / 0.1]
+
+
+def _with_a_second_mode() -> np.ndarray:
+    def slope(t: float, x: np.ndarray, f: float) -> list[float]:
+        return [*plain(t, x, f), x[3], _swing(f, x[2], x[3], 12.0, 0.3)]
+
+    found = solve(slope, (*START, 0.0, 0.0))
+    return found[:, 0] + 0.01 * found[:, 2] - 0.004 * found[:, 3] / 12.0
+
+
+def _leading() -> np.ndarray:
+    shown = base()[:, 0]
+    return shown + 0.5 * (shown - _slow(0.05))
+
+
+def _from_nought() -> np.ndarray:
+    """What a slow sensor shows that stood at zero: what began elsewhere decays."""
+    return _slow(0.3) - START[0] * np.exp(-TIMES / 0.3)
 
 
 def _slow(tau: float, of: int = 0) -> np.ndarray:
@@ -371,8 +451,62 @@ def _rubbed_input(t: float, x: np.ndarray, f: float) -> list[float]:
     return [*plain(t, x, f - 0.5 * x[2]), _dahl(x[1], x[2])]
 
 
+STORED: list[FormTruth] = [
+    FormTruth(
+        "derivative", "store", (6.0, 0.3), ("x",), partial(_first, _relaxing((6.0, 0.3)), 0.0), 1e-8
+    ),
+    FormTruth(
+        "derivative",
+        "store_from_zero",
+        (6.0, 0.3),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.3)), 6.0 * START[0]),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "store_from_elsewhere",
+        (6.0, 0.5, 0.3),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.3)), 6.0 * (START[0] - 0.5 / 6.0)),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "two_stores",
+        (6.0, 4.0, 0.1, 0.9),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.1), (4.0, 0.9)), 0.0, 0.0),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "emptying",
+        (0.5, 0.3),
+        (),
+        partial(_first, pushed(lambda t, x, f: 0.5 * np.exp(-t / 0.3))),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "oscillator",
+        (0.2 * 9.0, 9.0, 0.1),
+        (),
+        partial(_first, _carrying, *START),
+        1e-7,
+    ),
+    FormTruth("input", "lead", (0.5, 0.1), (), partial(_first, _led, FORCE[0]), 1e-8),
+    FormTruth("output", "lead", (0.5, 0.05), (), _leading, 2e-5),
+    FormTruth("output", "lag_from_rest", (0.3,), (), _from_nought, 2e-5),
+    FormTruth(
+        "output", "mode_feed_through", (0.01, -0.004, 12.0, 0.3), ("F",), _with_a_second_mode, 1e-6
+    ),
+]
+"""Hidden stores and oscillators, by other equations than those of the library."""
+
 WITH_MEMORY = [
     FormTruth("derivative", "dahl", (0.5, 0.02), (), partial(_first, _rubbed, 0.0), 1e-8),
+    FormTruth("derivative", "delayed", (-4.0, 0.1), ("x",), _recycled, 2e-6),
     FormTruth("derivative", "lagged", (-6.0, 0.3), ("x",), partial(_first, _pulled, 0.1), 1e-8),
     FormTruth(
         "derivative",
@@ -402,13 +536,17 @@ WITH_MEMORY = [
     ),
     FormTruth("output", "lagged_feed_through", (0.05, 0.3), ("F",), partial(_slow, 0.3, 1), 1e-6),
     FormTruth("output", "delay", (0.033,), (), _late_output, 6e-5, 6e-5),
+    FormTruth("parameter", "delayed", (0.9, 0.02, 0.1), ("v",), _late_damping, 2e-5),
+    FormTruth(
+        "parameter", "lagged", (0.9, 0.02, 0.3), ("v",), partial(_first, _lagged_damping, 0.0), 2e-8
+    ),
     FormTruth(
         "parameter", "heating", (0.9, 0.02, 0.6), ("v",), partial(_first, _heated, 0.0), 2e-8
     ),
 ]
 """Forms with states of their own, and those that need values of another time."""
 
-TRUTHS = [*_functions(), *WITH_MEMORY]
+TRUTHS = [*_functions(), *WITH_MEMORY, *STORED]
 """Of every form at the springs but for those of `OWN_TESTS`."""
 
 

@@ -129,7 +129,7 @@ def test_a_right_name_scores():
     assert found.likelihood_ratio > 40.0
     assert found.after == pytest.approx(found.oracle, rel=1e-3)
     assert found.parameters_after < found.parameters_before
-    assert Score.from_json(found.to_json()) == found
+    assert Score.from_json(found.to_json()).to_json() == found.to_json()
 
 
 def test_another_name_of_the_same_model_is_found_out_by_its_numbers():

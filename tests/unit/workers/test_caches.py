@@ -109,7 +109,7 @@ def test_without_any_folder_there_is_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "file"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
     (tmp_path / "file").touch()
-    with pytest.raises(ModelError, match=r"caches: .*set CLUSTER_EST_CACHE to one"):
+    with pytest.raises(ModelError, match=r"caches: .*set CLUSTER_EST_CACHE to a folder"):
         cache_folder("fmus")
 
 

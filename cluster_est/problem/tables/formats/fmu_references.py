@@ -141,7 +141,9 @@ def _inside(source: str, beside: str, names: set[str]) -> str:
         found = posixpath.normpath(posixpath.join(base, source))
         if found in names:
             return found
-    raise DataError(f"must have the file {source}, which {beside} names, but has not; check it")
+    raise DataError(
+        f"must have the file {source}, which {beside} names, but does not; check the FMU"
+    )
 
 
 def _seconds(text: str | None) -> float | None:

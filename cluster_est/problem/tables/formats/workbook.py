@@ -104,8 +104,8 @@ def _chosen(opened: Any, reading: Reading) -> tuple[str, list[Sequence[Any]], He
             found.append((name, rows, header))
     if not found:
         raise DataError(
-            "must have a header and rows of numbers in a sheet but has not; check it, or name the "
-            "sheet with sheet"
+            "must have a header and rows of numbers in a sheet but has neither; check the file, "
+            "or name the sheet with sheet"
         )
     if len(found) > 1:
         listed = ", ".join(repr(name) for name, _, _ in found)

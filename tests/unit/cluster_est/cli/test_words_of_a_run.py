@@ -147,8 +147,16 @@ def test_intervals_do_not_allow_for_what_is_missing(printed, page, facts, narrow
     ("tried", "in_terminal", "on_page"),
     [
         ({"failures_in_search": 0}, "7 failed)", "7 of 100 simulations failed (7.00 %)."),
-        ({"failures_in_search": 7}, "7 failed, all while effects were tried", "all of them while"),
-        ({"failures_in_search": 5}, "7 failed, 5 while effects were tried", "5 of them while"),
+        (
+            {"failures_in_search": 7},
+            "7 failed, all of them in the search for effects",
+            "all of them in the search",
+        ),
+        (
+            {"failures_in_search": 5},
+            "7 failed, 5 of them in the search for effects",
+            "5 of them in the search",
+        ),
     ],
 )
 def test_failures_of_effects_only_tried_are_called_so(printed, page, tried, in_terminal, on_page):

@@ -141,7 +141,7 @@ def said_of(problem, fitted):
     else:
         page = run_checks(problem, ce.Resources(executor="local"), 60.0)
         notes = [f"{found.found}: {found.do}" for found in page.findings]
-    return [note for note in notes if "at another state than the model" in note]
+    return [note for note in notes if "in another state than the model" in note]
 
 
 @pytest.mark.parametrize(("fitted", "sigma"), [(False, NOISE), (True, NOISE), (True, 1.0)])
@@ -149,7 +149,7 @@ def test_a_spring_that_was_let_go_elsewhere_is_off_by_that_much(fitted, sigma):
     """A sigma of 1 is none: the noise is then that of the samples."""
     (said,) = said_of(with_outputs(at_the_truth(), lambda o: replace(o, sigma=sigma)), fitted)
     found = re.search(
-        r"of 5 experiments begin .* y is up to (.*) m off, (.*) times its noise", said
+        r"of 5 experiments begin .* y is off by up to (.*) m, (.*) times its noise", said
     )
     distance, over_noise = map(float, found.groups())
     assert distance == pytest.approx(max(map(abs, STARTS.values())), abs=4 * NOISE)

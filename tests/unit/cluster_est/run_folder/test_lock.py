@@ -15,7 +15,10 @@ from cluster_est.run_folder.run_files import left_alone
 from cluster_est.run_folder.run_folder import check_free
 from cluster_est.watching.follower import RunFollower
 
-GONE = "no process of this machine is running in it any more; if it was killed, continue it with"
+GONE = (
+    "no process of this machine works in its folder any more; if the run was killed, continue "
+    "it with"
+)
 HOLD = """
 import sys, time
 from pathlib import Path

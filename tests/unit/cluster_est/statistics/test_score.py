@@ -220,3 +220,19 @@ def test_a_projection_leaves_the_residual_of_least_squares(scale: FloatArray) ->
     nothing = OrthogonalProjection(np.zeros((60, 2)))
     assert (nothing.rank, nothing.degrees) == (0, 60)
     assert nothing.remove(signals).tolist() == signals.tolist()
+
+
+def test_tests_of_two_parts_are_those_of_the_whole():
+    random = np.random.default_rng(4)
+    projection = OrthogonalProjection(random.normal(size=(60, 2)))
+    residuals = random.normal(size=60)
+    columns = [random.normal(size=(60, width)) for width in (1, 3, 1, 2)]
+    whole = score(projection, residuals, columns)
+    joined = score(projection, residuals, columns[:2]).with_more(
+        score(projection, residuals, columns[2:])
+    )
+    for name in ("statistics", "df", "ratio", "log_p", "explained", "offsets", "coordinates"):
+        np.testing.assert_allclose(getattr(joined, name), getattr(whole, name), rtol=1e-9)
+    part = joined.first(2)
+    assert part.bases.shape == (60, 4)
+    np.testing.assert_array_equal(part.statistics, joined.statistics[:2])

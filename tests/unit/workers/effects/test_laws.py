@@ -66,6 +66,10 @@ def ends_flat(f: Function) -> bool:
     )
 
 
+def ends_as_it_is(f: Function) -> bool:
+    return same(f(FAR), FAR) and same(f(-FAR), -FAR)
+
+
 def is_switch(f: Function, width: float) -> bool:
     """Half of its level is reached where a tanh of this width does."""
     return ends_flat(f) and is_odd(f) and same(f(np.arctanh(0.5) * width), 0.5 * f(FAR[0]))
@@ -86,6 +90,13 @@ CLAIMS: dict[Law, Callable[[Function, Values], bool]] = {
     Law.EXPONENTIAL: lambda f, c: is_exponential(f) or is_exponential(lambda x: f(x) + 1.0),
     Law.SATURATING: lambda f, c: is_affine(lambda u: 1.0 / f(1.0 / u)),
     Law.HILL: lambda f, c: is_affine(lambda u: 1.0 / f(1.0 / np.sqrt(u))),
+    Law.HILL_POWER: lambda f, c: {"n", "half"} <= set(c)
+    and is_affine(lambda u: 1.0 / f(u ** (-1.0 / c["n"]))),
+    Law.ARRHENIUS: lambda f, c: "zero" in c and is_affine(
+        lambda u: np.log(f(1.0 / u - c["zero"]) + 1.0)
+    ),
+    Law.CUT_OFF: lambda f, c: ends_as_it_is(f)
+    and bool(np.abs(f(0.3 * c.get("at", 0.0) * np.linspace(-1.0, 1.0, 9))).max() < 1e-6),
     Law.ABOVE: lambda f, c: is_ramp(f, c.get("at", 0.0), 1.0),
     Law.BELOW: lambda f, c: is_ramp(f, c.get("at", 0.0), -1.0),
     Law.ABOVE_BY_POWER: lambda f, c: "at" in c
@@ -119,14 +130,19 @@ OF_SIGNALS = {
     Law.POWER_CHARACTERISTIC: (Law.POWER, True), Law.LEVELLING: (Law.SATURATING, True),
     Law.DEAD_ZONE: (Law.GAP, True), Law.SATURATION: (Law.CLIPPED, True),
     Law.LIMIT_ABOVE: (Law.ABOVE, False), Law.LIMIT_BELOW: (Law.BELOW, False),
+    Law.CUT_OFF: (Law.CUT_OFF, True), Law.PERIODIC_ERROR: (Law.PERIODIC, False),
 }  # fmt: skip
 """The law of what a signal becomes, or of what it is changed by: a limit from above takes away what
 is beyond it."""
 
 STATES = {
-    Law.LAGGED: (("0", "v"), "v"), Law.LAGGED_SQUARE: (("0",), "v^2"),
+    Law.LAGGED: (("0", "v"), "v"), Law.DELAYED: (("v", "0", "0", "0"), "v"),
+    Law.LAGGED_SQUARE: (("0",), "v^2"),
     Law.PERIODIC_TRAVEL: (("0",), ""), Law.HYSTERESIS: (("0",), ""),
     Law.FIRST_ORDER_LAG: (("s",), "s"), Law.FIRST_ORDER_LAG_FROM_ZERO: (("0",), "s"),
+    Law.STORE: (("v",), "v"), Law.STORE_FROM_ZERO: (("0",), "v"),
+    Law.STORE_FROM_ELSEWHERE: (("0", "1"), "v"), Law.TWO_STORES: (("v", "v"), "v"),
+    Law.DECAY: (("1",), "0"), Law.RESONANCE: (("0", "0"), "v"), Law.LEAD: (("s",), "s"),
     Law.SECOND_ORDER_LAG: (("s", "0"), "s"), Law.SECOND_ORDER_LAG_FROM_ZERO: (("0", "0"), "s"),
 }  # fmt: skip
 """Where states may start, and where the first one stands still."""
@@ -189,7 +205,7 @@ def test_one_law_is_true_of_a_function_of_one_variable(form):
     assert true_of(read(form, form.equation, over, whole=whole), values) == {own}
 
 
-PLACED = (Law.DEAD_ZONE, Law.SATURATION, Law.LIMIT_ABOVE, Law.LIMIT_BELOW)
+PLACED = (Law.CUT_OFF, Law.DEAD_ZONE, Law.SATURATION, Law.LIMIT_ABOVE, Law.LIMIT_BELOW)
 
 
 @pytest.mark.parametrize("form", having(lambda f: plain(f) and f.variables == 2))
@@ -209,7 +225,7 @@ def test_a_law_of_two_variables(form):
     assert true_of(lambda x: f(x, 2.0 + 0.0 * x), coefficients(form)) == {switch[form.law]}
 
 
-@pytest.mark.parametrize("form", having(lambda f: bool(f.states)))
+@pytest.mark.parametrize("form", having(lambda f: bool(f.states) and f.law in STATES))
 def test_a_law_of_a_state(form):
     starts, rests = STATES[form.law]
     own = tuple(z.start for z in form.states)
@@ -219,10 +235,15 @@ def test_a_law_of_a_state(form):
     rate = read(
         rates, form.states[0].derivative, name, "s", "v", *(z.name for z in form.states[1:])
     )
-    moved = read(form, form.equation, name, "s")
+    others = [z.name for z in form.states[1:]]
+    read_all = read(form, form.equation, name, "s", "v", *others)
+
+    def moved(z: np.ndarray, at: np.ndarray | float) -> np.ndarray:
+        return read_all(z, at + 0.0 * z, 0.0 * z, *(0.0 * z for _ in others))
+
     if rests:
-        still = {"s": s, "v": v, "v^2": v**2}[rests]
-        assert same(rate(still, s, v, *(0.0 * s for _ in form.states[1:])), 0.0)
+        still = {"s": s, "v": v, "v^2": v**2, "0": 0.0 * v}[rests]
+        assert same(rate(still, s, v, *(0.0 * s for _ in others)), 0.0)
         assert same(moved(2.0 * s, s) - moved(s, s), moved(3.0 * s, s) - moved(2.0 * s, s))
     elif form.law is Law.HYSTERESIS:  # as fast as it is gone through, and another on the way back
         assert same(rate(s, s, 2.0 * v), 2.0 * rate(s, s, v))
@@ -230,6 +251,22 @@ def test_a_law_of_a_state(form):
     else:
         assert same(rate(s, s, v), v)
         assert true_of(lambda z: moved(z, 0.0), coefficients(form)) == {Law.PERIODIC}
+
+
+@pytest.mark.parametrize("form", having(lambda f: f.law is Law.ATTACHED_OSCILLATOR))
+def test_an_attached_oscillator_swings_about_where_it_moves_along(form):
+    """With its frequency and damping; what it does to the state is against its own motion."""
+    deflected, moving = form.states
+    assert (deflected.start, moving.start) == ("0", "v")
+    texts = [z.derivative for z in form.states]
+    rates = [read(form, text, "z", "y", "v") for text in [*texts, form.equation]]
+    still = [rate(0.0 * X, X, X) for rate in rates]
+    assert same(still, 0.0)
+    one, none = np.ones(1), np.zeros(1)
+    a = np.array([[*rate(one, none, none), *rate(none, one, none)] for rate in rates[:2]])
+    c = coefficients(form)
+    assert same(np.poly(a), [1.0, 2.0 * c["d"] * c["f"], c["f"] ** 2])
+    assert same(rates[2](X, X[::-1], 0.0 * X) * c["f"], -c["k"] * rates[1](X, X[::-1], 0.0 * X))
 
 
 def replace_site(form: EffectForm) -> EffectForm:
@@ -245,7 +282,7 @@ def replace_site(form: EffectForm) -> EffectForm:
     )
 
 
-@pytest.mark.parametrize("form", having(lambda f: f.of_time_alone))
+@pytest.mark.parametrize("form", having(lambda f: f.of_time_alone and not f.states))
 def test_a_law_of_time(form):
     f = read(form, form.equation, "t")
     values = coefficients(form)

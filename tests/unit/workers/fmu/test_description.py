@@ -147,7 +147,10 @@ def test_both_versions_name_this_machine_in_their_own_words():
         ),
         (("sources/m.c",), "but has only sources; compile them, for example with the command"),
         (("sources/m.c", "binaries/other/m.so"), ", or compile its sources"),
-        ((f"binaries/{PLATFORM}/n.so",), f"must have the binary {HERE} but has not; export it"),
+        (
+            (f"binaries/{PLATFORM}/n.so",),
+            f"must have the binary {HERE} but does not; export the FMU again",
+        ),
     ],
 )
 def test_what_is_there_instead_is_named(files, sentence):

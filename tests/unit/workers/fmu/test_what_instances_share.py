@@ -87,7 +87,7 @@ def test_a_lost_seat_stays_taken_and_is_said_to_be_lost(seats):
     assert has_lost(seats.of_worker(0))
     assert not has_lost(seats.of_worker(1))
     assert not has_lost(None)
-    with pytest.raises(ModelError, match=r'after a fatal error .* choose executor.name = "proc'):
+    with pytest.raises(ModelError, match=r'after a fatal error .* set executor.name = "proc'):
         Seat(seats.of_worker(0), "a.fmu")
 
 

@@ -99,6 +99,21 @@ def test_ripples_without_a_way_are_functions_of_the_speed():
     assert {place for place in places if place[0] != "der(twist)"} == speeds
 
 
+def test_the_integral_of_a_temperature_is_no_way():
+    """Of what has no unit it may be one."""
+    assert not any(c.form.family == "ripple" for c in all_of("kiln"))
+    description, runs = simulated(missing_effect_problem("kiln"))
+    plain = {name: replace(v, unit="") for name, v in description.variables.items()}
+    problem = missing_effect_problem("kiln")
+    found = make_candidates(
+        problem, replace(description, variables=plain), runs, [], LoopSettings()
+    )
+    assert {c.effect.variables for c in found if c.form.family == "ripple"} == {
+        ("T_plate",),
+        ("T_charge",),
+    }
+
+
 def test_functions_of_the_difference_to_what_is_around_a_state():
     """A kiln in a hall: an input of the state's unit that acts on it, and no other one."""
     found = keyed(all_of("kiln", ()))
@@ -128,8 +143,19 @@ def test_a_lag_may_begin_at_zero_only_where_its_signal_does_not(first, named):
         (force,) = run.inputs
         values = force.values - force.values[0] + first
         runs.append(replace(run, inputs=(replace(force, values=values),)))
-    own = {c.form.name for c in listed(replace(PLAIN, experiments=tuple(runs)))}
+    found = listed(replace(PLAIN, experiments=tuple(runs)))
+    own = {c.form.name for c in found if c.site.kind == "input"}
     assert own & {"lag", *FROM_REST} == {"lag", *named}
+
+
+def test_a_store_is_of_a_state_and_begins_empty_only_where_zero_is_nothing():
+    tanks = {(str(c.site), c.form.name, c.effect.variables) for c in all_of("cascaded_tanks", ())}
+    assert ("der(h2)", "store", ("h1",)) in tanks
+    assert ("der(h1)", "store_from_zero", ("h1",)) in tanks
+    assert not any(name.startswith("store") and v == ("u",) for _, name, v in tanks)
+    warm = {c.form.name for c in all_of("kiln", ()) if c.site.kind == "derivative"}
+    assert {"store", "store_from_elsewhere"} <= warm
+    assert "store_from_zero" not in warm
 
 
 def test_sites_are_what_moves_is_driven_measured_or_estimated():
@@ -151,7 +177,10 @@ def test_what_is_measured_is_a_site_whatever_its_causality(interface):
 def test_in_co_simulation_states_are_out_of_reach():
     found = listed(missing_effect_problem("battery", interface="co_simulation"))
     assert {c.site.kind for c in found} == {"input", "output", "parameter"}
-    assert {name for c in found for name in c.effect.variables} == {"current", "extra"}
+    followed = {n for c in found if c.site.kind == "parameter" for n in c.effect.variables}
+    assert followed == {"current", "extra", "voltage"}
+    others = {n for c in found if c.site.kind != "parameter" for n in c.effect.variables}
+    assert others == {"current", "extra"}
 
 
 def test_settings_choose_forms_and_sites():

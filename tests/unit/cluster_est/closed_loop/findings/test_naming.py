@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.named_effects import described, estimate, seen, visited
 
-from cluster_est.closed_loop.findings.dimensions import dimension_of
+from cluster_est.problem.dimensions import dimension_of
 from workers.effects.forms import FORMS
 from workers.fmu.xml import UnitDefinition
 
@@ -118,7 +118,7 @@ WHERE = {
          "Coulomb friction proportional to the magnitude of p"),
         (PRESSED, "der(v)", "coulomb_table v p", AGAINST, "Coulomb friction that depends on p"),
         (PRESSED, "der(v)", "coulomb_table v p", PARTLY,
-         "a term that switches with the sign of v, by a free curve of p"),
+         "a term that switches with the sign of v and has the size of a free curve of p"),
         ({}, "der(v)", "load_dependent_coulomb v p", AGAINST,
          "a term that switches with the sign of v, proportional to the magnitude of p"),
     ],

@@ -111,7 +111,7 @@ CASES = {
     "just less than nearly all": (
         Case(101.0, 4.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "the effect closes 97%"),
     "most is explained": (
-        Case(9.0, 2.8, LITTLE, STRUCTURED), Verdict.PARTIAL, "structure is left"),
+        Case(9.0, 2.8, LITTLE, STRUCTURED), Verdict.PARTIAL, "still has structure"),
     "just more than most": (
         Case(11.0, 3.4, LITTLE, STRUCTURED), Verdict.PARTIAL, "the effect closes 76%"),
     "just less than most": (
@@ -131,7 +131,7 @@ CASES = {
     "a free curve explains it": (
         Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.FOUND, "with a free curve"),
     "a free curve explains most": (
-        Case(41.0, 4.0, LITTLE, STRUCTURED, ("table",)), Verdict.PARTIAL, "structure is left"),
+        Case(41.0, 4.0, LITTLE, STRUCTURED, ("table",)), Verdict.PARTIAL, "still has structure"),
     "a free curve leaves too much": (
         Case(9.0, 3.0, LITTLE, STRUCTURED, ("table",)), Verdict.UNEXPLAINED, "only 75%"),
     "too little is explained": (
@@ -139,16 +139,16 @@ CASES = {
     "the rest is coloured": (
         Case(9.0, 1.4, NOISE, STRUCTURED, white=QUIET), Verdict.FOUND, "autocorrelated noise"),
     "the rest is too large for noise of any colour": (
-        Case(900.0, 27.0, NOISE, STRUCTURED), Verdict.PARTIAL, "structure is left"),
+        Case(900.0, 27.0, NOISE, STRUCTURED), Verdict.PARTIAL, "still has structure"),
     "the rest is coloured, and one of four is predicted worse": (
         Case(9.0, 2.2, NOISE, STRUCTURED, white=QUIET, worse=1), Verdict.FOUND,
         "autocorrelated noise"),
     "the rest is coloured, but half is predicted worse": (
         Case(9.0, 2.2, NOISE, STRUCTURED, white=QUIET, worse=2), Verdict.PARTIAL,
-        "structure is left"),
+        "still has structure"),
     "the rest of a free curve is coloured": (
         Case(9.0, 1.4, NOISE, STRUCTURED, ("table",), white=QUIET), Verdict.PARTIAL,
-        "structure is left"),
+        "still has structure"),
 }  # fmt: skip
 
 

@@ -178,6 +178,28 @@ def test_missing_numbers_are_those_of_the_file_and_no_times():
     assert run.outputs[0].values.tolist() == [-4.0, 4.0, 0.0]
 
 
+def test_samples_are_left_out_by_their_times():
+    columns = {"t": SAMPLED, "y": WAVE, "z": WAVE}
+    left_out = {"y": [SAMPLED[3], SAMPLED[7] * (1.0 + 1e-14)]}
+    run = ce.Experiment.from_table(columns, id="a", time="t", outputs=["y", "z"], left_out=left_out)
+    np.testing.assert_array_equal(run.outputs[0].times, np.delete(SAMPLED, [3, 7]))
+    np.testing.assert_array_equal(run.outputs[1].times, SAMPLED)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "said"),
+    [
+        ({"w": [1.0]}, r"left_out\.w: must be named as one of its outputs"),
+        ({"y": [-5.0]}, r"left_out\.y: must be the times of samples but there is none at -5 s"),
+        ({"y": ["x"]}, r"left_out\.y\[0\]"),
+    ],
+)
+def test_what_names_no_sample_is_refused(left_out, said):
+    columns = {"t": SAMPLED, "y": WAVE}
+    with pytest.raises(DataError, match=said):
+        ce.Experiment.from_table(columns, id="a", time="t", outputs=["y"], left_out=left_out)
+
+
 @pytest.mark.parametrize("given", ["x", [float("nan")], [None], {1: 2}])
 def test_what_is_no_list_of_numbers_is_refused(given):
     columns = {"t": SAMPLED, "y": WAVE}

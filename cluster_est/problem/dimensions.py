@@ -43,6 +43,11 @@ class Dimension:
         return any(self.powers == other.powers for other in others)
 
     @property
+    def is_rate(self) -> bool:
+        """It is something per time, such as a speed or a flow."""
+        return self.powers[BASES.index("time")] == -1.0
+
+    @property
     def without_angle(self) -> tuple[float, ...]:
         """The powers of all but the angle, which many tools leave out."""
         return self.powers[:-1]

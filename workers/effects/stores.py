@@ -1,0 +1,105 @@
+"""Forms of what a model lacks a state for: hidden stores that fill and empty, hidden oscillators.
+
+The wall of a room, a tissue, a gut, a second mode of vibration: each is a state of the form's own.
+What a hidden store does in terms of its argument v is first order, with a time constant tau:
+
+    der(x) += -k (v - z),    z' = (v - z) / tau
+
+A store that exchanges with the state itself (v is x) has k > 0: a heat capacity kC behind a
+conductance, a second compartment with rates k there and 1 / tau back. Two in a row are two that
+stand side by side with other numbers, as every circuit of resistors and capacitors is (R. M.
+Foster, Bell Syst. Tech. J. 3 (1924) 259-267, doi:10.1002/j.1538-7305.1924.tb01358.x), so there is
+no form of a row. Of another state, k (v - z) is what passes it late, or a spring and a damper in
+series.
+
+Where a store begins is known or not. As full as v says: z = v. Empty: z = 0. Elsewhere: what an
+unknown start adds decays, whatever the signals do, so z begins at 0 and a e is added, with e' = -e
+/ tau from 1; the start itself is a / k. It is linear in both, and is the same in all experiments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from workers.effects.kinds import (
+    EffectForm,
+    FormCoefficient,
+    FormCondition,
+    GridScale,
+    OwnState,
+    SiteKind,
+)
+from workers.effects.laws import Law
+
+_DER: tuple[SiteKind, ...] = ("derivative",)
+_PAIR: tuple[SiteKind, ...] = ("pair",)
+_OUT: tuple[SiteKind, ...] = ("output",)
+_SIGNAL: tuple[SiteKind, ...] = ("input", "output")
+
+
+def _time(name: str, *steps: float) -> FormCoefficient:
+    return FormCoefficient(
+        name, None, positive=True, scale=GridScale.STEP, grid=steps, unit="second"
+    )
+
+
+_EXCHANGE = FormCoefficient("k", positive=True, unit="site / v")
+_FIRST = FormCoefficient("a", unit="site")
+"""What is added at the start."""
+_TAU = _time("tau", 3.0, 15.0, 75.0)
+_STORE = OwnState("z", "(v - z) / tau", "v")
+_EMPTY = OwnState("z", "(v - z) / tau", "0")
+_DECAY = OwnState("e", "-e / tau", "1")
+
+_RESONANCE = (
+    FormCoefficient("f", None, positive=True, scale=GridScale.SPECTRUM, grid=(1.0,),
+                    unit="rad / second"),
+    FormCoefficient("d", None, positive=True, scale=GridScale.DAMPING, grid=(0.03, 0.2),
+                    unit="1"),
+)  # fmt: skip
+"""Of an oscillator that the residual shows: it rings where its spectrum has a peak."""
+_SWING = OwnState("y", "f * (v - z) - 2 * d * f * y", "0")
+
+_OWN = (FormCondition.OWN,)
+
+_AT_STATES = (
+    EffectForm("store", "store", Law.STORE, _DER, "-k * (v - z)", (_EXCHANGE, _TAU), 1, (_STORE,),
+         when=(FormCondition.STATE,), order=0.4),
+    EffectForm("store_from_zero", "store", Law.STORE_FROM_ZERO, _DER,
+         "-k * (v - z)", (_EXCHANGE, _TAU), 1, (_EMPTY,),
+         when=(FormCondition.OWN, FormCondition.AMOUNT, FormCondition.FROM_REST), order=0.35),
+    EffectForm("store_from_elsewhere", "store", Law.STORE_FROM_ELSEWHERE, _DER,
+         "a * e - k * (v - z)", (_EXCHANGE, _FIRST, _TAU), 1, (_EMPTY, _DECAY),
+         when=_OWN, order=0.5),
+    EffectForm("two_stores", "store", Law.TWO_STORES, _DER, "-k * (v - z) - k_slow * (v - y)",
+         (_EXCHANGE, replace(_EXCHANGE, name="k_slow"), _time("tau", 3.0, 12.0),
+          _time("tau_slow", 40.0, 150.0)),
+         1, (_STORE, OwnState("y", "(v - y) / tau_slow", "v")), when=_OWN, order=0.6),
+    # a gut, a tank that runs out: full at the start, and nothing comes after
+    EffectForm("emptying", "store", Law.DECAY, _DER, "a * e", (_FIRST, _TAU), 0, (_DECAY,),
+         order=0.4),
+    # a mass on a spring that hangs on a body: y is its speed, k / f its mass over the body's
+    EffectForm("oscillator", "store", Law.ATTACHED_OSCILLATOR, _DER,
+         "-k * (z + 2 * d * (v - y))", (_EXCHANGE, *_RESONANCE), 1,
+         (OwnState("z", "f * (v - y)", "0"), OwnState("y", "f * z + 2 * d * f * (v - y)", "v")),
+         when=(FormCondition.OWN, FormCondition.OSCILLATES), order=0.6),
+    # a wall between two rooms, a joint that creeps
+    EffectForm("store", "store", Law.STORE, _PAIR, "-k * (v - z)",
+         (FormCoefficient("k", positive=True, unit="site / v"),
+          FormCoefficient("back", positive=True, unit="other / v"), _TAU), 1, (_STORE,),
+         "back * (v - z)", order=0.4),
+)  # fmt: skip
+
+_AT_SIGNALS = (
+    EffectForm("lead", "lag", Law.LEAD, _SIGNAL, "s + k * (s - z)",
+         (FormCoefficient("k", unit="1"), _TAU), 0, (OwnState("z", "(s - z) / tau", "s"),),
+         order=0.6),
+    # a mode of vibration beside those of the model: a is what its way shows, b what its speed does
+    EffectForm("mode_feed_through", "store", Law.RESONANCE, _OUT, "s + a * z + b * y",
+         (FormCoefficient("a", unit="site / v"), FormCoefficient("b", unit="site / v"),
+          *_RESONANCE), 1,
+         (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,), order=0.6),
+)  # fmt: skip
+
+STORES = (*_AT_STATES, *_AT_SIGNALS)
+"""The forms of this module."""
