@@ -196,7 +196,8 @@ def hidden_table(scores: Sequence[Score]) -> str:
     for kind in KINDS:
         own = f.kinds(scores, kind)
         for name in dict.fromkeys(score.name.split("/")[2] for score in own):
-            rows.append(_row(name, [score for score in own if score.name.split("/")[2] == name]))
+            members = [score for score in own if score.name.split("/")[2] == name]
+            rows.append(_row(name, members))
     head = ["", "cases", "found", "any effect", "place", "kind", "intervals", "worse held out"]
     return markdown([*head, "held-out error: declared, found, truth"], rows)
 

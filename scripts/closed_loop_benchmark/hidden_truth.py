@@ -129,7 +129,8 @@ class _Course:
             if isinstance(start, str):
                 rows.append(np.broadcast_to(_evaluate(start, known), count))
             else:
-                rows.append(random.uniform(*start, count))
+                low, high = start
+                rows.append(random.uniform(low, high, count))
         self.first = np.array(rows, dtype=float)
         return self.first
 
