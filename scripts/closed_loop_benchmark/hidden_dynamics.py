@@ -49,7 +49,7 @@ def _read() -> Iterable[tuple[Scenario, Hidden]]:
         for label, given in own.items():
             form = label.split(":")[0]
             effect = _effect(label, given, FORMS[form][0])
-            names = _names(given["places"], FORMS[form])
+            names = _names(given["places"], [*dict.fromkeys((effect.form, *FORMS[form]))])
             case = _scenario(system, HIDDEN, f"{class_of(form)}/{label}", Noise(given["noise"]))
             yield replace(case, effects=(effect,), accepted=(names,)), _hidden(given)
 
