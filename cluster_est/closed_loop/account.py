@@ -169,11 +169,13 @@ class LastAnswer:
 def last_answer(
     ends: Sequence[tuple[SelectionResult, ReasonedVerdict]],
     last: Sequence[Callable[[], LastFits]],
+    without: Callable[[FittedModel, int, float], float],
 ) -> LastAnswer:
     """Return the first answer that nothing speaks against after its last fits.
 
     Where something does against each of them, it is the first one, which is then not claimed. The
-    ends of a search come with what does the last fits of each.
+    ends of a search come with what does the last fits of each; `without` is `p_without` on the
+    fitter of the search.
     """
     refused: list[LastAnswer] = []
     said: list[str] = []
@@ -181,7 +183,7 @@ def last_answer(
         fits = fit()
         against = veto(judged, fits.errors, found.settings)
         if not against and judged.verdict in CLAIMS:
-            against = undetermined_sentence(found.current, fits.after)
+            against = undetermined_sentence(found.current, fits.after, without)
         if not against:
             return LastAnswer(found, judged, fits, number, tuple(said))
         refused.append(LastAnswer(found, judged.refused(against), fits, number))

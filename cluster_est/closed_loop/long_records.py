@@ -32,6 +32,7 @@ from cluster_est.closed_loop.outliers import (
 from cluster_est.closed_loop.process_noise import SpentSimulations, with_all
 from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.search_windows import SearchWindows, choose_windows
+from cluster_est.closed_loop.selection.answer import p_without
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
@@ -418,7 +419,12 @@ class _ThinnedLoop:
                 partial(last_fits_to_all_rows, whole, found, starts, begin)
                 for (found, _), starts in zip(done.searched.ends, done.starts, strict=True)
             ]
-            answer = last_answer(done.searched.ends, last)
+
+            def without(model: FittedModel, position: int, degrees: float) -> float:
+                with reopened(self._left(), searching) as again:
+                    return p_without(again.fitter, model, position, degrees)
+
+            answer = last_answer(done.searched.ends, last, without)
             before = answer.fits.before
             noise = whole.noise_in_units(answer.found.noise)
             other = preferred_interpolation(

@@ -34,6 +34,7 @@ from cluster_est.closed_loop.outliers import (
     without_stand_ins,
 )
 from cluster_est.closed_loop.process_noise import close_loop_under_noise
+from cluster_est.closed_loop.selection.answer import p_without
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import LoopRequest, check_arguments
 from cluster_est.problem.problem import Problem
@@ -165,7 +166,7 @@ def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
         fitter, searched = workbench.fitter, search_and_keep(request, workbench, begin)
         fitter.enter("before and after")
         last = [partial(last_fits, fitter, found, begin) for found, _ in searched.ends]
-        answer = last_answer(searched.ends, last)
+        answer = last_answer(searched.ends, last, partial(p_without, fitter))
         result = account(fitter, answer, workbench.scope)
         error = searched.error_at(answer.found.current) if result.effects else searched.error
     return AccountedSearch(result, searched, error, searched.interpolation)

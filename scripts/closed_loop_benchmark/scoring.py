@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from closed_loop_benchmark.claims import claim_evidence
 from closed_loop_benchmark.data import Data, run_of
 from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.naming import Match, compare, in_words, label_in_words, normal
 from closed_loop_benchmark.oracle import Oracle, count_free, refit, translate
 from cluster_est import Problem
-from cluster_est.closed_loop.findings.confidence import claim_evidence
 from cluster_est.closed_loop.findings.effects import NamedEffect, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.results.fit_tables import Estimate

@@ -31,11 +31,14 @@ FINE = tuple(
     if kind in ("input", "output") and form.finer_than
 )
 """Fine curves of a signal, each alone: one of another would be an equation of pages."""
-GROUPS = ("function", "late", "limited", "curve", "force")
+GROUPS = {
+    "input": ("function", "late", "limited", "curve", "force"),
+    "derivative": ("function", "states"),
+}
 CASES = [
     (kind, group, solver)
     for kind in SITES
-    for group in (GROUPS if kind == "input" else ("function",))
+    for group in GROUPS.get(kind, ("function",))
     for solver in SOLVERS
     if (solver == "dormand_prince")
     or (solver == "rk4" and kind in ("derivative", "input"))
@@ -64,6 +67,8 @@ def is_in(form, kind, group):
     """Whether a form of a kind of site is one of those that are exported together."""
     if kind == "input":
         return group_of(form) == group
+    if kind == "derivative":  # all at once would run away
+        return ("states" if form.states else "function") == group
     return (form.name if kind == "output" and form.finer_than else "function") == group
 
 
@@ -71,15 +76,18 @@ def effects_of(kind, group="function"):
     """An effect of each form of a kind, and the values of their coefficients."""
     limit = 2.0 if kind == "input" else 0.05
     known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5, "rate": 20.0}
-    known["zero"] = 10.0
+    known["zero"] = 1.0 if kind == "derivative" else 10.0  # of a larger one it runs away
     forms = [f for k, f in FORMS if k == kind and is_in(FORMS[k, f], kind, group)]
     effects, values = [], []
     for number, name in enumerate(forms):
         form = FORMS[kind, name]
         variables = ("v", "x") if kind == "derivative" else ("F", "F")
+        if FormCondition.OTHER in form.when:  # of the state itself it is a friction that pushes
+            variables = ("x",)
         effects.append(Effect(f"e{number}", SITES[kind], name, variables[: form.variables]))
         shape = 2.0 if name == "hysteresis" else 0.04  # slow: its steps follow the whole record
         own = known | ({"width": 0.5} if name == "exponential" else {})  # else it runs away
+        own |= {"n": 2.0} if name == "hill_power" else {}  # of a smaller one it is a step at zero
         values += [own.get(c.name, 0.3 if c.neutral == 0.0 else shape) for c in form.coefficients]
     return effects, values
 

@@ -37,6 +37,9 @@ from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site,
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray
 
+FEWEST_WAVES = 1.5
+"""The fewest waves within the data at the grid's lower end. By definition: below one wave nothing
+repeats, and what bends is no ripple."""
 BELOW_GRID, ABOVE_GRID = 20.0, 50.0
 """Factors by which a refit may go beyond the grid of a positive coefficient."""
 
@@ -224,6 +227,8 @@ def _bounds(
         low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:
             low = max(low, SHORTEST_TIME * scales.resolution)
+        if coefficient.scale in (GridScale.WAVES_V, GridScale.WAVES_TRAVEL_V):
+            low = min(values) / FEWEST_WAVES
         return low, max(values) * ABOVE_GRID
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width

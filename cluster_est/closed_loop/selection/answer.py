@@ -16,7 +16,7 @@ What is held out chooses nothing. It may veto an answer, and then the one before
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,7 +63,9 @@ def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
         return [grown]
     tested = LoopPart.STRENGTHS not in without
     doubtful = {
-        n for n, each in enumerate(accepted) if tested and least_determined(each.model) is not None
+        n
+        for n, each in enumerate(accepted)
+        if tested and least_determined(fitter, each.model) is not None
     }
     chain = best_ancestors(accepted, doubtful)
     best = chain[-1]
@@ -147,35 +149,67 @@ def _complexity(fitted: FittedModel) -> tuple[int, int]:
 
 def without_undetermined(fitter: Fitter, found: SelectionResult) -> SelectionResult:
     """Take out effects whose strengths may all be zero, the least determined one first."""
-    while (worst := least_determined(found.current)) is not None:
+    while (worst := least_determined(fitter, found.current)) is not None:
         found = without_effects(fitter, found, [worst], LoopPart.STRENGTHS)
     return found
 
 
-def least_determined(model: FittedModel) -> int | None:
+def least_determined(fitter: Fitter, model: FittedModel) -> int | None:
     """Return the position of the effect whose strengths are most likely zero; None for none."""
     if not model.added:
         return None
     solution = Solution(model.x, model.sse, Ending.CONVERGED, jacobian=model.jacobian)
-    given = model.space, model.x, assess(model.space, solution)
+    known = assess(model.space, solution)
+    given = model.space, model.x, known
     p = strength_p(model.added, *given)
     alone = [strength_p([each], *given)[0] for each in model.added]
-    worst = max(range(len(p)), key=lambda i: (p[i], alone[i]))
-    return worst if p[worst] > STRENGTH_LEVEL else None
+    for worst in sorted(range(len(p)), key=lambda i: (-p[i], -alone[i])):
+        if p[worst] <= STRENGTH_LEVEL:
+            return None
+        if p_without(fitter, model, worst, known.basis_degrees) > STRENGTH_LEVEL:
+            return worst
+    return None
 
 
-def undetermined_sentence(model: FittedModel, fit: Result) -> str:
+def undetermined_sentence(
+    model: FittedModel, fit: Result, without: Callable[[FittedModel, int, float], float]
+) -> str:
     """Return what the last fit of a model says against the strengths of an effect; "" for nothing.
 
-    Its intervals are those that are reported.
+    Its intervals are those that are reported; `without` is `p_without` on a fitter of the model.
     """
-    if fit.uncertainty is None or fit.solution.x.shape != model.x.shape:
+    known = fit.uncertainty
+    if known is None or fit.solution.x.shape != model.x.shape:
         return ""
-    p = strength_p(model.added, model.space, fit.solution.x, fit.uncertainty)
-    doubtful = [c.label for c, own in zip(model.added, p, strict=True) if own > STRENGTH_LEVEL]
+    p = strength_p(model.added, model.space, fit.solution.x, known)
+    doubtful = [
+        candidate.label
+        for i, (candidate, own) in enumerate(zip(model.added, p, strict=True))
+        if own > STRENGTH_LEVEL and without(model, i, known.basis_degrees) > STRENGTH_LEVEL
+    ]
     return (
         f"according to the last fit, the strength of {doubtful[0]} may be zero" if doubtful else ""
     )
+
+
+def p_without(fitter: Fitter, model: FittedModel, position: int, degrees: float) -> float:
+    """Return the p-value of an effect by a refit without it, in the place of the linear model.
+
+    Of a stop or an overflow the data say that it is stiff, and not how stiff: the sum of squares
+    hardly changes with its strength where that is fitted, and yet rises far towards zero. So the
+    interval holds zero, and the effect is there all the same. With k strengths, n degrees of
+    freedom of the noise and sums of squares S without it and s with it, n (S - s) / (k s) follows
+    F(k, n) where nothing is lost (see `strength_p`). What cannot be simulated without it
+    needs it.
+    """
+    start = model.start.minus(position)
+    (refitted,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
+    if refitted is None:
+        return 0.0
+    strengths = max(len(model.added[position].strengths), 1)
+    degrees = degrees if np.isfinite(degrees) else float(fitter.size - len(model.x))
+    more = max(refitted.sse - model.sse, 0.0)
+    return float(fdtrc(strengths, degrees, degrees * more / (strengths * model.sse)))
 
 
 def strength_p(

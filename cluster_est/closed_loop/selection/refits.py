@@ -52,7 +52,7 @@ WHITE_LEADERS = 8
 """Leaders of the whitened scores that are tried besides those of the plain ones."""
 PROMISING = 2
 """Candidates that go on although they are behind, because of what the linear model promises."""
-PAIRED, PAIRS_REFITTED = 90, 8
+PAIRED, PAIRS_REFITTED = 1000, 8
 """Directions that are paired, for which the work grows with the square; pairs that are refitted."""
 ALIKE_DIRECTIONS = 0.98
 """Cosine above which two directions are no pair. Benchmark."""
@@ -350,7 +350,12 @@ def refit_pairs(
 
 
 def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tuple[int, int]]:
-    """Pairs of trials of different candidates by the share of the residual that they carry."""
+    """Pairs of trials of different candidates by the share of the residual that they carry.
+
+    Of all pairs at the same two places the best one stands for the others: forms of one argument at
+    one site are much alike, and the more of them are tried, the sooner would they crowd out all
+    other places. A candidate that carries little alone may carry much beside another.
+    """
     scores = ranking.plain
     usable = [
         i for i in np.argsort(-scores.statistics, kind="stable").tolist()
@@ -366,12 +371,13 @@ def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tu
     with np.errstate(divide="ignore", invalid="ignore"):
         carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
     carried[np.abs(g) > ALIKE_DIRECTIONS] = 0.0
-    found: dict[frozenset[str], tuple[int, int]] = {}
+    candidates = [ranking.trials[i].candidate for i in usable]
+    places = [(str(c.site), c.effect.variables or (c.form.family,)) for c in candidates]
+    found: dict[tuple[tuple[str, tuple[str, ...]], ...], tuple[int, int]] = {}
     for k in np.argsort(-carried, kind="stable").tolist():
-        i, j = usable[a[k]], usable[b[k]]
-        names = frozenset(ranking.trials[m].candidate.effect.name for m in (i, j))
-        if len(names) == 2 and carried[k] > 0.0:
-            found.setdefault(names, (i, j))
+        i, j = a[k], b[k]
+        if carried[k] > 0.0 and candidates[i].effect.name != candidates[j].effect.name:
+            found.setdefault(tuple(sorted((places[i], places[j]))), (usable[i], usable[j]))
         if len(found) >= most:
             break
     return list(found.values())

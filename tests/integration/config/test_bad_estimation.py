@@ -116,7 +116,7 @@ SIGNALS = [
     (step(time=9.0), r"\[0\].step_response: .*limit the signal.*move its times"),
     (step(rise_time=0.2, settling_time=0.1), "step_response.settling_time: .*before rise_time"),
     (step(initial=1.0), "step_response.initial: .*not be the final value"),
-    (constraint(signal="v", tracking={}), r"\[0\].signal: .*measured in some experiment.*'y'"),
+    (constraint(signal="v", tracking={}), r"\[0\].signal: .*in at least one experiment.*'y'"),
     (on_y(tracking={"relative": -1}), "tracking.relative: .*at least 0.*-1"),
 ]
 DERIVED = [

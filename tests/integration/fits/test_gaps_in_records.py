@@ -54,7 +54,7 @@ def write(folder, missing):
         ("tFy", "nothing measured: input F may have changed there, so the part after it begins"),
         ("Fy", "nothing measured: input F may have changed there, so the part after it begins"),
         ("F", "input F not measured: input F may have changed there, so the part after it begins"),
-        ("y", "output y not measured: the inputs are known there"),
+        ("y", "output y not measured: the inputs are known in the gap"),
     ],
 )
 def test_a_gap_is_told_of_and_leads_no_estimate_astray(tmp_path, missing, found):

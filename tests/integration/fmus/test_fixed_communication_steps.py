@@ -121,10 +121,10 @@ def test_a_fit_finds_the_rate_and_says_what_it_did(own_fmu):
     runs = [Experiment(name, 0.0, 1.99, (), (output,)) for name in "ab"]
     rate = (Parameter("k", 1.0, (0.1, 3.0)),)
     (note,) = Problem(decay(fmu), rate, (runs[0], measured([0.0, 0.2], name="c"))).notes()
-    assert re.search(r"every 0\.1 s; experiment 'a' has times between", note)
+    assert re.search(r"steps of 0\.1 s, but experiment 'a' has samples between", note)
     problem = Problem(decay(fmu), rate, tuple(runs))
     (note,) = problem.notes()
-    assert "2 experiments have times between" in note
+    assert "2 experiments have samples between" in note
     result = fit(problem, LeastSquares())
     assert result.estimates[0].value == pytest.approx(0.8, abs=2e-3)
 

@@ -80,8 +80,12 @@ def test_the_block_of_a_form_is_an_effect_once_it_is_filled_in(kind, name):
     assert len(made.parameters) == len(form.coefficients)
 
 
+WITHOUT_SCALE = (GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING)
+"""Their entries are the values themselves."""
+
+
 def test_every_size_that_is_to_be_filled_in_says_where_to_begin():
     for (kind, _), form in EVERY_FORM.items():
         for each in form.coefficients:
-            if each.scale not in (None, GridScale.EXPONENT):
+            if each.scale not in (None, *WITHOUT_SCALE):
                 assert f"x {each.scale.value}" in config_block(kind, form)

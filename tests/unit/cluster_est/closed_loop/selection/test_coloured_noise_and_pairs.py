@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -156,8 +158,14 @@ MATRIX = GENERATOR.standard_normal((N, 3))
 COLUMNS = [GENERATOR.standard_normal((N, 1)) for _ in range(COUNT)]
 
 
+def elsewhere(name, family="friction"):
+    """An effect of this name, with an argument of its own: no two are at one place."""
+    made = made_candidate(name, family)
+    return replace(made, effect=replace(made.effect, variables=(name,)))
+
+
 def screened(residuals, columns, candidates=None):
-    made = candidates or [made_candidate(f"e{i}") for i in range(len(columns))]
+    made = candidates or [elsewhere(f"e{i}") for i in range(len(columns))]
     return made_ranking(MATRIX, residuals, columns, made)
 
 
@@ -198,11 +206,11 @@ def test_scales_do_not_matter(scale):
 
 def spoiled(columns, case):
     """The planted pair, made one that is none; what is alike is so by its columns."""
-    trials = [made_candidate(f"e{i}") for i in range(COUNT)]
+    trials = [elsewhere(f"e{i}") for i in range(COUNT)]
     if case == "points of one grid":
-        trials[40] = made_candidate("e17")
+        trials[40] = elsewhere("e17")
     elif case == "a free curve":
-        trials[40] = made_candidate("e40", "table")
+        trials[40] = elsewhere("e40", "table")
     else:
         columns[40] = columns[17] + 0.01 * COLUMNS[40]
     return trials
@@ -214,6 +222,17 @@ def test_no_pair_are(case):
     found = best_pairs(screened(residuals, columns, spoiled(columns, case)))
     assert len(found) == FITTED
     assert {17, 40} not in [set(p) for p in found]
+
+
+def test_one_pair_stands_for_all_at_the_same_two_places():
+    """Forms of one argument at one site are alike, and must not crowd out what is elsewhere."""
+    residuals = GENERATOR.standard_normal(N)
+    trials = [made_candidate(f"e{i}") for i in range(10)] + [elsewhere("far"), elsewhere("off")]
+    found = best_pairs(screened(residuals, COLUMNS[:12], trials))
+    places = [tuple(sorted(max(i, 9) for i in pair)) for pair in found]
+    assert sorted(places) == [(9, 9), (9, 10), (9, 11), (10, 11)]
+    best = min(range(10), key=lambda i: left(residuals, COLUMNS[i], COLUMNS[10]))
+    assert {best, 10} in [set(pair) for pair in found]
 
 
 def test_one_candidate_is_no_pair():
