@@ -3,6 +3,8 @@
     python scripts/bench_closed_loop.py --out results.jsonl --split tune --every 10
     python scripts/bench_closed_loop.py --out fast.jsonl --kinds single,clean --every 30 --rate 10
     python scripts/bench_closed_loop.py --out records.jsonl --kinds "single record"
+    python scripts/bench_closed_loop.py --out hidden.jsonl --kinds "hidden dynamics" --split tune
+    python scripts/bench_closed_loop.py --out hidden.jsonl --hidden-table
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
     python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation beam,replace+drop
@@ -11,13 +13,15 @@
 The first prints one line a case and appends to the file, one record a line; cases that are in it
 already are skipped, so a run can be continued. The second samples the cases ten times as fast, in
 noise that is larger by the root of ten. The third runs the cases of one long record. The fourth
-writes the tables of all that is there. The fifth lists the cases of both files that were right and
-are no longer; there must be none, and the exit code is 1 if there is one. The sixth is about the
-parts of the search (moves, gates, and what moves share): on each of the first 60 cases that are
-meant for that it runs the loop as it is, then without the one part, then without the other two, and
-prints what each is good for; `--ablation all` leaves out every part alone. Each has a file of its
-own beside that of `--out`, and can be continued with further parts and cases. The last writes the
-page of all that is there.
+runs the open half of the cases of hidden dynamics (`--split report`: the half that is held back;
+`--kinds "nothing hidden"`: their systems with nothing to find), and the fifth prints their table.
+The sixth writes the tables of all that is there. The seventh lists the cases of both files that
+were right and are no longer; there must be none, and the exit code is 1 if there is one. The
+eighth is about the parts of the search (moves, gates, and what moves share): on each of the first
+60 cases that are meant for that it runs the loop as it is, then without the one part, then without
+the other two, and prints what each is good for; `--ablation all` leaves out every part alone. Each
+has a file of its own beside that of `--out`, and can be continued with further parts and cases. The
+last writes the page of all that is there.
 """
 
 from __future__ import annotations
@@ -40,6 +44,9 @@ from typing import Any, get_args
 from closed_loop_benchmark.activity import noted_parts, saved
 from closed_loop_benchmark.data import Data, Sampling, make, make_problem
 from closed_loop_benchmark.form_subsets import FormSubset, violations
+from closed_loop_benchmark.hidden_dynamics import KINDS as HIDDEN_KINDS
+from closed_loop_benchmark.hidden_dynamics import cases_of, hidden_problem, hidden_table
+from closed_loop_benchmark.hidden_systems import HIDDEN_SYSTEMS
 from closed_loop_benchmark.memory import remembering
 from closed_loop_benchmark.oracle import ask
 from closed_loop_benchmark.parts import paired, parts_page
@@ -104,6 +111,9 @@ def main() -> int:
         text, lost = compare_runs(*(read(file) for file in options.compare))
         print(text)
         return int(lost > 0)
+    if options.hidden_table:
+        print(hidden_table(list(read(options.out).values())))
+        return 0
     if options.page:
         text = page(list(read(options.out).values()))
         options.page.write_text(text, encoding="utf-8")
@@ -186,7 +196,8 @@ def parse() -> argparse.Namespace:
         "--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="two files; run nothing"
     )
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
-    parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
+    systems = (*SYSTEMS, *HIDDEN_SYSTEMS)
+    parser.add_argument("--systems", type=names_of(systems), default=systems)
     parser.add_argument("--split", choices=get_args(Split))
     parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="these alone")
     parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
@@ -207,6 +218,9 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--parts-page", type=Path, help="write the page about parts left out and run nothing"
+    )
+    parser.add_argument(
+        "--hidden-table", action="store_true", help="print that of hidden dynamics and run nothing"
     )
     parser.add_argument(
         "--subsets", type=int, default=0, help="loops with half of the forms, the answer among them"
@@ -258,8 +272,12 @@ def choose(options: argparse.Namespace) -> list[Scenario]:
     known = ablation_cases() if options.ablation else all_scenarios()
     if options.kinds == ("single record",):
         known = single_records()
+    if {*options.kinds} <= {*HIDDEN_KINDS}:
+        known = [case for kind in options.kinds for case in cases_of(kind)]
     if options.cases:
-        known = list({case.name: case for case in (*all_scenarios(), *ablation_cases())}.values())
+        hidden = [case for kind in HIDDEN_KINDS for case in cases_of(kind)]
+        every = (*all_scenarios(), *ablation_cases(), *single_records(), *hidden)
+        known = list({case.name: case for case in every}.values())
     cases = [
         case
         for case in known
@@ -356,6 +374,8 @@ def made(case: Scenario, sampling: Sampling) -> tuple[Problem, Data]:
     """Return the problem and the data of a case, which all its variants have in common."""
     if case.kind == "single record":
         return one_record(case)
+    if case.kind in HIDDEN_KINDS:
+        return hidden_problem(case)
     data = make(case, sampling)
     return make_problem(data), data
 

@@ -337,7 +337,13 @@ def build(
     Path
         The archive, named after the folder.
     """
-    model = read_model(folder)
+    return build_archive(read_model(folder), out or folder.parent, compiler, platforms)
+
+
+def build_archive(
+    model: Model, out: Path, compiler: str = "cc", platforms: Sequence[str] = ("linux64",)
+) -> Path:
+    """Build the FMU of a model that may have no folder; see `build`."""
     sources = {**model.sources, "model_variables.h": c_header(model).encode()}
     files = {f"sources/{name}": text for name, text in sources.items()}
     files["modelDescription.xml"] = model_description(model)
@@ -347,7 +353,7 @@ def build(
         for platform in platforms:
             library = binary(Path(build_folder), model.name, compiler, platform)
             files[f"binaries/{platform}/{shared_library(model.name, platform)}"] = library
-    path = (out or folder.parent) / f"{model.name}.fmu"
+    path = out / f"{model.name}.fmu"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_archive(path, files)
     return path

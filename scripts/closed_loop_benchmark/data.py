@@ -221,13 +221,15 @@ WIDTH = 4.0
 """A parameter may be so many times as large as its start value, or as small."""
 
 
-def make_problem(data: Data) -> Problem:
+def make_problem(data: Data, archive: bytes | None = None) -> Problem:
     """Return the problem that a method is given.
 
     Parameters
     ----------
     data
         The data of a case.
+    archive
+        The FMU; that of the example models without.
 
     Returns
     -------
@@ -239,7 +241,7 @@ def make_problem(data: Data) -> Problem:
     parameters += [_start(data, state) for state in system.unknown_starts]
     model = Model(
         name=system.fmu,
-        archive=_read(system.fmu),
+        archive=archive or _read(system.fmu),
         interface=system.interface,
         solver=_solver(system),
         parameters=tuple(p.target for p in parameters),

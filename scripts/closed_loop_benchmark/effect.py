@@ -50,6 +50,8 @@ class Effect:
         For a pair: what the form is multiplied by in each of the two rates.
     also
         Other names for the very same model, besides those that `names` finds.
+    constants
+        Its coefficients in the library's form, by name, where they are given so.
     """
 
     label: str
@@ -60,6 +62,7 @@ class Effect:
     second: str = ""
     weights: tuple[float, ...] = (1.0,)
     also: tuple[Name, ...] = field(default=(), repr=False)
+    constants: tuple[tuple[str, float], ...] = field(default=(), repr=False)
 
     @property
     def kind(self) -> str:

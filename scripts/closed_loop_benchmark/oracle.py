@@ -193,8 +193,10 @@ def translate(effect: Effect, number: int) -> tuple[AddedEffect, dict[str, float
     KeyError
         If the library has no such form.
     """
-    values = TRANSLATIONS[effect.kind][effect.form](effect.numbers)
-    if effect.kind == "pair":
+    values = dict(effect.constants)
+    if not values:
+        values = TRANSLATIONS[effect.kind][effect.form](effect.numbers)
+    if effect.kind == "pair" and not effect.constants:
         first, second = effect.weights
         values |= {"k": values["k"] * first, "back": -values["k"] * second}
     form = LIBRARY_NAMES.get((effect.kind, effect.form), effect.form)

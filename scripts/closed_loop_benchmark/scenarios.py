@@ -47,6 +47,8 @@ Kind = Literal[
     "process noise",
     "outliers",
     "single record",
+    "hidden dynamics",
+    "nothing hidden",
 ]
 SIZES = (0.05, 0.25, 1.0)
 """The smallest leaves some effects close to the noise, or lost in it."""
@@ -92,7 +94,7 @@ class Scenario:
         or not. "triple": three effects. "disturbance": a push that nothing measured explains.
         "process noise": white noise on a rate, with an effect or without. "outliers": one sample in
         a hundred is far off, with an effect or without. "single record": one effect, in one record
-        alone.
+        alone. "hidden dynamics" and "nothing hidden": see `closed_loop_benchmark.hidden_dynamics`.
     effects
         What the FMU lacks, at its full size.
     accepted

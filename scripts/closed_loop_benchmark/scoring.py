@@ -24,6 +24,10 @@ from cluster_est.results.result import Result
 SAME_MODEL = 0.1
 """Two structures are the same model on the data if their outputs differ by less, in sigmas."""
 
+REFERENCES = {"at", "ref"}
+"""Coefficients that are a choice where an effect has a strength."""
+STRENGTHS = {"k", "back"}
+
 REMARKABLE = (Verdict.FOUND, Verdict.PARTIAL, Verdict.UNEXPLAINED)
 
 
@@ -303,9 +307,10 @@ def _parameter_error(data: Data, found: dict[str, float]) -> float:
 def coverage(data: Data, result: LoopResult) -> tuple[int, int]:
     """Count the 95 % intervals that hold the truth, and all that there are.
 
-    Of effects that were named as they are called. Left out are variations of parameters, whose
-    strength hangs on the value that the parameter has where they do nothing, and coefficients
-    without an interval: held ones, and those at a bound.
+    Of effects that were named as they are called, of hidden stores whatever they begin with. Left
+    out are variations of parameters, whose strength hangs on the value that the parameter has where
+    they do nothing, strengths at a reference that was chosen, and coefficients without an interval:
+    held ones, and those at a bound.
     """
     held = [low <= true <= high for true, low, high in _intervals(data, result)]
     return sum(held), len(held)
@@ -313,6 +318,9 @@ def coverage(data: Data, result: LoopResult) -> tuple[int, int]:
 
 def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, float]]:
     for number, effect in enumerate(data.scenario.effects):
+        if effect.constants:
+            yield from _of_constants(data, result, number)
+            continue
         if effect.kind == "parameter":
             continue
         try:
@@ -323,6 +331,26 @@ def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, f
         for named in result.effects:
             if normal(named.form, named.site, named.variables) == called:
                 yield from _of_one(named, values)
+
+
+def _of_constants(
+    data: Data, result: LoopResult, number: int
+) -> Iterator[tuple[float, float, float]]:
+    """Return the same of an effect that is written with the library's coefficients."""
+    effect, first = data.scenario.effects[number], data.scenario.accepted[number][0]
+    values = dict(effect.constants)
+    if REFERENCES & {*values}:
+        values = {name: value for name, value in values.items() if name not in STRENGTHS}
+    place = normal(first.form, first.site, (first.variable,))
+    for named in result.effects:
+        called = normal(named.form, named.site, named.variables)
+        same = _without_start(called.form) == _without_start(effect.form)
+        if same and (called.site, called.variable) == (place.site, place.variable):
+            yield from _of_one(named, values)
+
+
+def _without_start(form: str) -> str:
+    return form.partition("_from_")[0]
 
 
 def _of_one(named: NamedEffect, values: dict[str, float]) -> Iterator[tuple[float, float, float]]:
