@@ -82,7 +82,7 @@ def effects_of(kind, group="function"):
     for number, name in enumerate(forms):
         form = FORMS[kind, name]
         variables = ("v", "x") if kind == "derivative" else ("F", "F")
-        if FormCondition.OTHER in form.when:  # of the state itself it is a friction that pushes
+        if name == "switch":  # of the state itself it is a friction that pushes
             variables = ("x",)
         effects.append(Effect(f"e{number}", SITES[kind], name, variables[: form.variables]))
         shape = 2.0 if name == "hysteresis" else 0.04  # slow: its steps follow the whole record

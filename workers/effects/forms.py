@@ -54,7 +54,7 @@ _OWN = (FormCondition.OWN,)
 _OWN_OSCILLATES = (FormCondition.OWN, FormCondition.OSCILLATES)
 _DRIVEN = (FormCondition.DRIVEN,)
 _DRIVEN_OSCILLATES = (FormCondition.DRIVEN, FormCondition.OSCILLATES)
-_OTHER_OSCILLATES = (FormCondition.OTHER, FormCondition.OSCILLATES)
+_DIFFERENCE_OSCILLATES = (FormCondition.DIFFERENCE, FormCondition.OSCILLATES)
 
 
 def _k(unit: str) -> FormCoefficient:
@@ -317,9 +317,9 @@ _RATES = (
     EffectForm("delayed", "coupling", Law.DELAYED, _DER,
          f"k * {_DELAYED}", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1, _DELAY_LINE,
          order=0.4, differences=True, later=True),
-    # of a relay; of the state itself it is a friction
+    # of a relay that compares two states; of one alone it would stand for the friction of another
     EffectForm("switch", "coupling", Law.SWITCH, _DER, "k * tanh(v / width)",
-         (_k("site"), _NARROW), 1, when=_OTHER_OSCILLATES, order=0.5, differences=True),
+         (_k("site"), _NARROW), 1, when=_DIFFERENCE_OSCILLATES, order=0.5, differences=True),
     EffectForm("hinge", "end stop", Law.ABOVE, _DER, "k * max(v - at, 0)",
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
     EffectForm("hinge_below", "end stop", Law.BELOW, _DER, "k * max(at - v, 0)",

@@ -82,6 +82,8 @@ class FormCondition(enum.Enum):
     OWN = "own"
     """Its variable, the first where it has two, is the state at whose derivative it acts, at an
     input one that this acts on."""
+    DIFFERENCE = "difference"
+    """Its variable is a difference of two signals."""
     OTHER = "other"
     """Its variable, the first where it has two, is no state that it pushes."""
     FIRST = "first"

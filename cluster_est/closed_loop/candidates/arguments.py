@@ -166,6 +166,7 @@ class OpenArguments:
             FormCondition.POSITION: self.speeds.get(argument) not in pushed,
             FormCondition.NO_POSITION: argument in self.no_ways,
             FormCondition.OTHER: argument in pushed,
+            FormCondition.DIFFERENCE: state or not is_difference(argument),
             FormCondition.OWN: argument not in pushed,
         }
         return not any(refused.get(condition, False) for condition in form.when)
