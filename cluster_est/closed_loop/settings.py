@@ -85,6 +85,7 @@ class LoopPart(enum.StrEnum):
     ADD = "add"
     BEAM = "beam"
     ADD_TWO = "add two"
+    EXCLUDE = "exclude"
     FREE_CURVE = "free curve"
     SIBLINGS = "siblings"
     SWITCH_WIDTHS = "switch widths"

@@ -206,9 +206,9 @@ STOPS = (
     ),
     Stop(
         LoopPart.CURVE_ENDS,
-        lambda begun: any(candidate.form.free for candidate in begun.model.added),
+        lambda begun: _curve_does_most(begun),
         RejectionReason.FREE_CURVE,
-        "by definition: the remaining error of a curve is partly its own",
+        "by definition: the remaining error of such a curve is partly its own",
     ),
 )
 """In the order in which they are asked."""
@@ -330,6 +330,16 @@ def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: F
     if begun.has(LoopPart.BOUNDED):
         return is_usable(fitter, fitted, trusted)
     return can_be_linearised(fitter, fitted)
+
+
+def _curve_does_most(begun: RoundStart) -> bool:
+    """Return whether a free curve is in a structure that closes what a claim with one needs.
+
+    What lines between a few values leave of a smooth function is far less than the rest.
+    """
+    free = any(candidate.form.free for candidate in begun.model.added)
+    closed = begun.base.sse - begun.model.sse
+    return free and closed >= VERDICT.most_by_curve * (begun.base.sse - begun.floor)
 
 
 def _improving(

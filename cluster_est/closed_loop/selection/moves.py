@@ -1,9 +1,10 @@
 """The moves of a search: each proposes structures, from one, the ranking at it, and the data.
 
-`MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, a free
-curve. `REVISIONS` change one that has passed the gates: other starts, others in the place of
-earlier effects, one for two, one less. `LoopPart` has their names, by which a setting leaves them
-out. What they share is remembered and pruned in one place (`refits.py`, `linear_model.py`).
+`MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, one
+more without an earlier one, a free curve. `REVISIONS` change one that has passed the gates: other
+starts, others in the place of earlier effects, one for two, one less. `LoopPart` has their names,
+by which a setting leaves them out. What they share is remembered and pruned in one place
+(`refits.py`, `linear_model.py`).
 """
 
 from __future__ import annotations
@@ -17,17 +18,20 @@ import numpy as np
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.acceptance import admissible, can_be_linearised
 from cluster_est.closed_loop.selection.free_curves import free_curve
-from cluster_est.closed_loop.selection.gates import SELECTION, may_go_on
+from cluster_est.closed_loop.selection.gates import GATES, SELECTION, may_go_on
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
 from cluster_est.closed_loop.selection.refits import (
+    SHORT,
     RefittedCandidate,
     Rivals,
+    best_first,
     ending_with,
     full_refit,
     most_parsimonious,
     proposed_by,
     refit,
+    refit_fully,
     refit_pairs,
     rivals_of,
 )
@@ -145,9 +149,36 @@ def _two_that_pay(begun: RoundStart, single: RoundEnd, double: RoundEnd) -> Roun
     return double
 
 
+def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose the best structure that was refused, without an effect that was accepted before.
+
+    That effect may have stood for what the structure now says better, and spoil its predictions:
+    the conditional exclusion of floating searches (P. Pudil, J. Novovicova, J. Kittler, Floating
+    search methods in feature selection, Pattern Recognition Letters 15, 1119, 1994, DOI
+    10.1016/0167-8655(94)90127-9).
+    """
+    gates = {gate.part for gate in GATES}
+    refused = [c for c in best.compared if best.stopped.get(c.fitted.structure) in gates]
+    leading = min(refused, key=lambda c: c.criterion, default=None)
+    if leading is None or not can_be_claimed(begun, leading.fitted):
+        return []
+    model = leading.fitted
+    earlier = [i for i, own in enumerate(model.added) if own.effect.name in begun.model.structure]
+    starts = [model.start.minus(i) for i in earlier]
+    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    fits = refit_fully(fitter, [f for f in brief if can_be_claimed(begun, f)])
+    return best_first(fitter.records, fits, LoopPart.EXCLUDE)
+
+
 MOVES = (
     Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
     Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
+    Move(
+        LoopPart.EXCLUDE,
+        exclude,
+        lambda begun, best: best.won is None and bool(begun.model.added),
+        lambda _, best, own: own if own.won is not None else best,
+    ),
     Move(
         LoopPart.FREE_CURVE,
         free_curve,

@@ -1,0 +1,94 @@
+"""Earlier effects that are left out of what was refused, and curves that do not do everything."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.loop_objects import (
+    fit_with_squares,
+    made_candidate,
+    made_fitter,
+    made_problem,
+    made_refit,
+    made_screening,
+    made_start,
+)
+
+from cluster_est.closed_loop.selection.gates import reason_to_stop
+from cluster_est.closed_loop.selection.moves import exclude
+from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundEnd, SelectionRound
+from cluster_est.closed_loop.settings import LoopPart
+
+PROBLEM = made_problem(100)
+WRONG, RIGHT = made_candidate("wrong"), made_candidate("right")
+NOTHING, ONE, BOTH = 10_000.0, 6_000.0, 200.0
+"""Squares of the declared model, with the wrong effect alone, and with both."""
+
+
+class KnownFits:
+    """A fitter that knows the squares of each structure, and which ones were asked for."""
+
+    def __init__(self, squares):
+        self.squares, self.asked = squares, []
+        self.records = made_fitter(PROBLEM).records
+        self.size = 100
+
+    def fit(self, stage, starts, method):
+        del stage, method
+        names = [tuple(c.effect.name for c in start.added) for start in starts]
+        self.asked += names
+        return [
+            fit_with_squares(PROBLEM, self.squares[own], start.added)
+            for own, start in zip(names, starts, strict=True)
+        ]
+
+
+def begun_at(model, p=0.001):
+    base = fit_with_squares(PROBLEM, NOTHING)
+    column = [np.ones((100, 1))]
+    screening = made_screening(base.jacobian, base.residuals, column, [RIGHT], p=p, p_white=p)
+    begun = made_start(base, screening, predicted=NOTHING, floor=100.0)
+    return replace(begun, model=model)
+
+
+def refused(begun, fitter, squares, part=LoopPart.LEAST_GAIN):
+    """The end of a round whose best proposal, both effects, did not pass a gate."""
+    fitted = fit_with_squares(PROBLEM, squares, (WRONG, RIGHT))
+    contender = made_refit(fitted, fitted.criterion(fitter.records))
+    seen = SelectionRound(begun.screening, (contender,), RejectionReason.LITTLE_EXPLAINED)
+    return RoundEnd(seen, compared=(contender,), stopped={fitted.structure: part})
+
+
+def test_what_a_gate_refused_is_proposed_without_the_effect_that_was_there_before():
+    fitter = KnownFits({("right",): 150.0})
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG,)))
+    (proposal,) = exclude(fitter, begun, refused(begun, fitter, BOTH))
+    assert proposal.fitted.structure == {"right"}
+    assert proposal.move is LoopPart.EXCLUDE
+    assert proposal.full
+
+
+def test_what_explains_too_little_without_it_is_not_proposed():
+    fitter = KnownFits({("right",): 9_000.0})
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG,)))
+    assert exclude(fitter, begun, refused(begun, fitter, BOTH)) == []
+
+
+@pytest.mark.parametrize(
+    ("squares", "part"), [(5_000.0, LoopPart.LEAST_GAIN), (BOTH, LoopPart.WAVES)]
+)
+def test_nothing_is_simulated_for_what_could_be_no_claim_or_is_a_wave(squares, part):
+    fitter = KnownFits({})
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG,)))
+    assert exclude(fitter, begun, refused(begun, fitter, squares, part)) == []
+    assert fitter.asked == []
+
+
+@pytest.mark.parametrize(
+    ("squares", "reason"), [(4_000.0, None), (1_000.0, RejectionReason.FREE_CURVE)]
+)
+def test_something_may_be_added_to_a_curve_that_leaves_more_than_its_own_error(squares, reason):
+    """It closes 61 % of the gap, or 91 %."""
+    curve = made_candidate("curve", "table")
+    begun = begun_at(fit_with_squares(PROBLEM, squares, (curve,)))
+    assert reason_to_stop(begun) is reason
