@@ -33,11 +33,12 @@ from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
 from cluster_est.closed_loop.selection.free_curves import Merging
-from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
+from cluster_est.closed_loop.selection.gates import choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
 from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, rivals_of
 from cluster_est.closed_loop.selection.rounds import (
+    VERDICT,
     AcceptedStructure,
     ComparedStructure,
     RejectionReason,
@@ -369,7 +370,7 @@ def _was_local(fitter: Fitter, begun: RoundStart, won: RefittedCandidate) -> boo
         return False
     base = begun.base
     start = FitStart(base.problem, _declared_only(won), base.added)
-    bound = PruningBound(sse=SELECTION.local_minimum * base.sse)
+    bound = PruningBound(sse=(1.0 - VERDICT.negligible) * base.sse)
     (brief,) = fitter.fit(LoopStage.DECLARED_AGAIN, [start], FIRST)
     if brief is None or not can_reach(fitter.records, brief, bound):
         return False

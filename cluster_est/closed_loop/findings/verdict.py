@@ -33,7 +33,6 @@ from cluster_est.closed_loop.output_noise import (
     residual_noise,
     suspected_sigma,
 )
-from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import (
     VERDICT,
     RejectionReason,
@@ -184,12 +183,11 @@ def _judged(
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
     # what predicts other records worse is not found, however well it follows those it was fitted to
     quiet = not now.structured and predicted >= 0.0
-    if quiet or closed > VERDICT.nearly_all:
+    if quiet or closed > 1.0 - VERDICT.negligible:
         if tables:
             share += ", with a free curve: a shape that is not in the library"
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
-    better = np.mean(found.prediction.squares < found.base_prediction.squares)
-    mostly = predicted >= 0.0 and better >= SELECTION.mostly_better
+    mostly = found.prediction.is_better_than(found.base_prediction)
     if now.of_sensors and not tables and mostly:
         rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
@@ -356,9 +354,8 @@ def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[flo
     base, last = found.base.sse, found.current.sse
     gap = base - min(floor, last)
     training = (base - last) / gap if gap > 0.0 else 0.0  # of any unit, however small its squares
-    least = SELECTION.least_gap
     before, after = found.base_prediction.total, found.prediction.total
-    predicted = (before - after) / max(before - floor, least * floor)
+    predicted = (before - after) / max(before - floor, VERDICT.negligible * floor)
     return float(training), float(predicted)
 
 

@@ -65,6 +65,13 @@ FIRST_DAMPING = 1e-5
 """Of its first step, over the squares of the derivatives: what the other parts do not determine
 stays."""
 
+BETTER_PARTS = 2.0 / 3.0
+"""Share of the parts left out that a structure must predict better, of those that tell any
+difference. By definition: most of them."""
+TOLD_APART = 0.01
+"""Difference of a part's squares, over the mean of the parts, below which it tells none. By
+definition: an effect that acts in few parts changes nothing in the others."""
+
 
 @dataclass(frozen=True)
 class LeaveOneOutPrediction:
@@ -75,6 +82,14 @@ class LeaveOneOutPrediction:
     @property
     def total(self) -> float:
         return float(self.squares.sum())
+
+    def is_better_than(self, other: LeaveOneOutPrediction) -> bool:
+        """Return whether the parts are predicted better: in total, and most of them."""
+        if self.total >= other.total:
+            return False
+        change = self.squares - other.squares
+        told = np.abs(change) > TOLD_APART * max(self.total, other.total) / len(change)
+        return bool(np.mean(change[told] < 0.0) >= BETTER_PARTS) if told.any() else False
 
 
 def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:

@@ -25,7 +25,7 @@ from scipy.special import fdtrc
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, is_usable, predict
+from cluster_est.closed_loop.selection.acceptance import is_usable, predict
 from cluster_est.closed_loop.selection.refits import full_refit
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
@@ -42,12 +42,6 @@ from cluster_est.results.result import Result
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
-BETTER_PARTS = 2.0 / 3.0
-"""Share of the parts left out that a structure must predict better, of those that tell any
-difference. By definition: most of them."""
-TOLD_APART = 0.01
-"""Difference of a part's squares, over the mean of the parts, below which it tells none. By
-definition: an effect that acts in few parts changes nothing in the others."""
 STRENGTH_LEVEL = 0.05
 """p-value up to which strengths differ from zero, as an interval of 95 % says it of a single one.
 By definition."""
@@ -130,17 +124,8 @@ def _not_the_answer(
 def _replaces(later: AcceptedStructure, earlier: AcceptedStructure) -> bool:
     """Return whether a structure takes the place of an earlier one; the plainer wins a tie."""
     if _complexity(later.model) > _complexity(earlier.model):
-        return predicts_better(later.prediction, earlier.prediction)
-    return not predicts_better(earlier.prediction, later.prediction)
-
-
-def predicts_better(one: LeaveOneOutPrediction, other: LeaveOneOutPrediction) -> bool:
-    """Return whether parts that were left out are predicted better: in all, and most of them."""
-    if one.total >= other.total:
-        return False
-    change = one.squares - other.squares
-    told = np.abs(change) > TOLD_APART * max(one.total, other.total) / len(change)
-    return bool(np.mean(change[told] < 0.0) >= BETTER_PARTS) if told.any() else False
+        return later.prediction.is_better_than(earlier.prediction)
+    return not earlier.prediction.is_better_than(later.prediction)
 
 
 def _complexity(fitted: FittedModel) -> tuple[int, int]:

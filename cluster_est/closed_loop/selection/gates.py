@@ -54,23 +54,8 @@ class SelectionThresholds:
     solo_gain
         Gain of the criterion with which an effect may live in a minority of the experiments.
         Benchmark.
-    solo_share
-        Ratio of squares below which an experiment fits clearly better. Benchmark.
     minority
         Share of the experiments that is one. By definition.
-    hard
-        Share of the gap to the noise that a single effect must close, or two at once are tried.
-        Benchmark.
-    least_gap
-        Share of the noise that a gap counts as at least. Benchmark.
-    mostly_better
-        Share of the parts left out that must be predicted better for the rest to count as noise.
-        Benchmark.
-    least_fall
-        Share of the squares that must be explained for the same. Benchmark.
-    local_minimum
-        Ratio of squares below which the declared model, restarted from the new parameters, was in a
-        local minimum before. Benchmark.
     autoregression
         Order of the noise that a gain is compared with. Signal: the noise of a sensor with that of
         a process on it is no autoregression of low order; the order up to which intervals look.
@@ -79,13 +64,7 @@ class SelectionThresholds:
     choice_price: float = 2.0
     pair_price: float = 4.0
     solo_gain: float = 30.0
-    solo_share: float = 0.98
     minority: float = 0.5
-    hard: float = 0.7
-    least_gap: float = 0.02
-    mostly_better: float = 0.75
-    least_fall: float = 0.02
-    local_minimum: float = 0.97
     autoregression: int = 20
 
 
@@ -121,7 +100,7 @@ class Attempt:
     def of_few(self) -> bool:
         """A minority of the experiments fits clearly better, and by much."""
         current, grown = self.begun.model, self.chosen.fitted
-        few = _improved(current, grown, SELECTION.solo_share) <= SELECTION.minority
+        few = _improved(current, grown) <= SELECTION.minority
         return self.gain > SELECTION.solo_gain and few
 
     @property
@@ -400,7 +379,7 @@ def _coloured_gain(
 def _closed(begun: RoundStart, after: LeaveOneOutPrediction) -> float:
     """Share of the gap between predictions and noise that is closed."""
     before, floor = begun.prediction, begun.floor
-    return (before.total - after.total) / max(before.total - floor, SELECTION.least_gap * floor)
+    return (before.total - after.total) / max(before.total - floor, VERDICT.negligible * floor)
 
 
 def _may_leave_noise(attempt: Attempt) -> bool:
@@ -422,8 +401,9 @@ def _explains_little(attempt: Attempt, fitter: Fitter) -> bool:
     return attempt.closed < begun.settings.least_gain and not _rest_is_coloured(attempt, fitter)
 
 
-def _improved(current: FittedModel, grown: FittedModel, share: float) -> float:
+def _improved(current: FittedModel, grown: FittedModel) -> float:
     """Share of the experiments that fit clearly better."""
+    share = 1.0 - VERDICT.negligible
     better = [
         np.sum(grown.residuals[rows] ** 2) < share * np.sum(current.residuals[rows] ** 2)
         for rows in current.space.rows
@@ -434,9 +414,8 @@ def _improved(current: FittedModel, grown: FittedModel, share: float) -> float:
 def _rest_is_coloured(attempt: Attempt, fitter: Fitter) -> bool:
     """Return whether an effect leaves only coloured noise, so that it did all it could."""
     begun = attempt.begun
-    better = np.mean(attempt.after.squares < begun.prediction.squares)
-    least = SELECTION.least_fall * begun.model.sse
-    if better < SELECTION.mostly_better or _fall(attempt) < least:
+    least = VERDICT.negligible * begun.model.sse
+    if not attempt.after.is_better_than(begun.prediction) or _fall(attempt) < least:
         return False
     p_white = screen(fitter, begun.settings, attempt.chosen.fitted, 90).p_white
     return p_white > begun.settings.significance

@@ -22,6 +22,7 @@ from cluster_est.closed_loop.selection.gates import GATES, SELECTION, may_go_on
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
 from cluster_est.closed_loop.selection.refits import (
+    ALIKE,
     SHORT,
     RefittedCandidate,
     Rivals,
@@ -36,6 +37,7 @@ from cluster_est.closed_loop.selection.refits import (
     rivals_of,
 )
 from cluster_est.closed_loop.selection.rounds import (
+    VERDICT,
     Revised,
     RoundEnd,
     RoundStart,
@@ -70,10 +72,6 @@ class RevisionThresholds:
 
 
 REVISION = RevisionThresholds()
-
-ALIKE_PREDICTIONS = 0.98
-"""Cosine between the changes of two structures' predictions above which they count as one.
-Benchmark."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
 
 def _two_are_worth(begun: RoundStart, best: RoundEnd) -> bool:
     """Return whether two effects at once are worth a look: no single one does most of it."""
-    done = best.won is not None and best.seen.closed >= SELECTION.hard
+    done = best.won is not None and best.seen.closed >= VERDICT.most
     return _has_room_for_two(begun, best) and not done
 
 
@@ -285,7 +283,7 @@ def best_distinct(
             break
         change = _direction(base, contender.fitted)
         alike = [float(np.add.reduce(change * other)) for other in changes]
-        if contender.candidate.form.free or max(alike, default=0.0) > ALIKE_PREDICTIONS:
+        if contender.candidate.form.free or max(alike, default=0.0) > ALIKE:
             continue
         kept.append(contender.fitted)
         changes.append(change)

@@ -54,8 +54,9 @@ PROMISING = 2
 """Candidates that go on although they are behind, because of what the linear model promises."""
 PAIRED, PAIRS_REFITTED = 1000, 8
 """Directions that are paired, for which the work grows with the square; pairs that are refitted."""
-ALIKE_DIRECTIONS = 0.98
-"""Cosine above which two directions are no pair. Benchmark."""
+ALIKE = 0.98
+"""Cosine above which two directions, or two changes of what is predicted, count as one.
+Benchmark."""
 
 
 def full_refit(fitter: Fitter) -> LeastSquares:
@@ -370,7 +371,7 @@ def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tu
     g = gram[a, b]
     with np.errstate(divide="ignore", invalid="ignore"):
         carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
-    carried[np.abs(g) > ALIKE_DIRECTIONS] = 0.0
+    carried[np.abs(g) > ALIKE] = 0.0
     candidates = [ranking.trials[i].candidate for i in usable]
     places = [(str(c.site), c.effect.variables or (c.form.family,)) for c in candidates]
     found: dict[tuple[tuple[str, tuple[str, ...]], ...], tuple[int, int]] = {}

@@ -33,11 +33,12 @@ class VerdictThresholds:
         Residual over the estimated noise above which what is left is no noise of a sensor, where
         no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
         of 0.93 is five times too small.
-    nearly_all
-        Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
+    negligible
+        Share of squares that counts as nothing. Effects that are "found" leave no more of the gap
+        to the noise. Benchmark.
     most
-        The same for "partial": the error is at least halved, on training and on held-out data.
-        By definition: what explains less is a hint, and no model.
+        Share of the gap that effects must close for "partial": the error is at least halved, on
+        training and on held-out data. By definition: what explains less is a hint, and no model.
     most_by_curve
         The same for "partial" with a free curve, which takes any shape: what it leaves says that
         the effect is another one. Benchmark.
@@ -46,7 +47,7 @@ class VerdictThresholds:
     gap: float = 1.15
     excess: float = 0.05
     coloured: float = 5.0
-    nearly_all: float = 0.98
+    negligible: float = 0.02
     most: float = 0.75
     most_by_curve: float = 0.9
 

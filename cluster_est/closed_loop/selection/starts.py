@@ -22,6 +22,7 @@ from cluster_est.closed_loop.selection.linear_model import (
     longest_step,
 )
 from cluster_est.closed_loop.selection.refits import SHORT, full_refit
+from cluster_est.closed_loop.selection.rounds import VERDICT
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
@@ -36,8 +37,6 @@ class DeclaredModelThresholds:
 
     Attributes
     ----------
-    at_noise
-        Residual over noise below which no other start is tried. Benchmark.
     spread
         Of the starts around the user's: in logarithms, or as a share of a value. Benchmark.
     survivors
@@ -46,7 +45,6 @@ class DeclaredModelThresholds:
         Relative distance of two fits that count as different. Benchmark.
     """
 
-    at_noise: float = 1.05
     spread: float = 0.35
     survivors: tuple[int, ...] = (4, 2)
     distinct: float = 1e-2
@@ -94,7 +92,7 @@ def fit_declared(
 
 def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
     """Return whether the residual is as small as its own roughness says it can be."""
-    most = DECLARED_MODEL.at_noise * noise_of(fitter, fitted.residuals)
+    most = np.sqrt(VERDICT.gap) * noise_of(fitter, fitted.residuals)
     parts = fitter.records.by_output(fitted.residuals)
     return not any(
         len(part) and np.sqrt(np.mean(part**2)) > level

@@ -54,7 +54,7 @@ class Case:
     def search(self):
         after = self.now if np.isnan(self.left_out) else self.left_out
         squares = np.full(4, after * FLOOR / 4)
-        squares[: self.worse] = 1.01 * self.base * FLOOR / 4
+        squares[: self.worse] = 1.1 * self.base * FLOOR / 4
         if self.worse:
             squares[self.worse :] -= (squares.sum() - after * FLOOR) / (4 - self.worse)
         added = [made_candidate(f"effect{i}", each) for i, each in enumerate(self.families)]

@@ -17,7 +17,6 @@ from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.answer import (
     best_ancestors,
     ending_at,
-    predicts_better,
     strength_p,
 )
 from cluster_est.closed_loop.selection.rounds import AcceptedStructure, RejectionReason
@@ -113,10 +112,10 @@ def test_no_order_of_parts_and_no_unit_matters():
     for _ in range(100):
         one, other = random.uniform(1.0, 2.0, (2, 5))
         order, unit = random.permutation(5), 10.0 ** random.uniform(-9.0, 9.0)
-        better = predicts_better(prediction(*one), prediction(*other))
-        assert better is predicts_better(prediction(*one[order]), prediction(*other[order]))
-        assert better is predicts_better(prediction(*(unit * one)), prediction(*(unit * other)))
-        assert not (better and predicts_better(prediction(*other), prediction(*one)))
+        better = prediction(*one).is_better_than(prediction(*other))
+        assert better is prediction(*one[order]).is_better_than(prediction(*other[order]))
+        assert better is prediction(*(unit * one)).is_better_than(prediction(*(unit * other)))
+        assert not (better and prediction(*other).is_better_than(prediction(*one)))
 
 
 def two_strengths(truth, noise=0.3, collinear=0.0):
