@@ -119,8 +119,9 @@ class RefitWithoutPart(Method):
     """Refit a model to all residuals but some, from its fit to all; the cost is that of the part.
 
     Levenberg-Marquardt steps whose derivatives begin as those of the fit to all, and are corrected
-    by what each step has shown (C. G. Broyden, Math. Comp. 19 (1965) 577-593,
-    doi:10.1090/S0025-5718-1965-0198670-6), so that an iteration is one simulation.
+    by what each step has shown, so that an iteration is one simulation: Broyden's update, which
+    leaves zeros as they are, because an experiment does not depend on the initial states of others
+    (L. K. Schubert, Math. Comp. 24 (1970) 27-30, doi:10.1090/S0025-5718-1970-0258276-9).
 
     Attributes
     ----------
@@ -149,20 +150,28 @@ class RefitWithoutPart(Method):
         squares = float(np.sum(residuals[others] ** 2))
         own = float(np.sum(residuals[self.part] ** 2))
         damping, simulated, sizes = FIRST_DAMPING, False, np.linalg.norm(matrix, axis=0)
+        depends = matrix != 0.0
         for number in range(STEPS_WITHOUT_PART):
-            step, promised = self._step(space, x, residuals, matrix, others, damping)
-            if not step.any() or (number and promised <= NOTICEABLE * squares / others.sum()):
+            step, promised, promised_own = self._step(space, x, residuals, matrix, others, damping)
+            settled = promised <= NOTICEABLE * squares / others.sum()
+            done = settled and promised_own <= NOTICEABLE * own / len(self.part)
+            if not step.any() or (number and done):
                 break
             (at,) = yield Points((x + step)[None, :], "left out")
             simulated |= at.ok
-            left = float(np.sum(at.residuals[others] ** 2)) if at.ok else np.inf
-            if not left < squares:
+            left, left_own = np.inf, np.inf
+            if at.ok:
+                left = float(np.sum(at.residuals[others] ** 2))
+                left_own = float(np.sum(at.residuals[self.part] ** 2))
+            if not (left < squares or (settled and left_own < own)):
                 damping = max(damping, FIRST_DAMPING) * DAMPING_RATIO**2
                 continue
             missed, direction = at.residuals - residuals - matrix @ step, sizes**2 * step
-            matrix = matrix + np.outer(missed, direction / float(direction @ step))
-            x, residuals, squares, damping = x + step, at.residuals, left, damping / DAMPING_RATIO
-            own = float(np.sum(residuals[self.part] ** 2))
+            lengths = depends @ (direction * step)
+            missed = np.divide(missed, lengths, out=np.zeros_like(missed), where=lengths > 0.0)
+            matrix = matrix + missed[:, None] * np.where(depends, direction, 0.0)
+            x, residuals, squares, own = x + step, at.residuals, left, left_own
+            damping /= DAMPING_RATIO
         failed = number > 0 and not simulated
         return Solution(x, ACCEPTANCE.unpredicted * own if failed else own, Ending.CONVERGED)
 
@@ -174,25 +183,32 @@ class RefitWithoutPart(Method):
         matrix: FloatArray,
         others: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
         damping: float,
-    ) -> tuple[FloatArray, float]:
-        """Return a step, and the fall of the sum of squares that the linear model promises."""
+    ) -> tuple[FloatArray, float, float]:
+        """Return a step, and by how much the linear model lets the squares fall.
+
+        Those of all other parts, by the unknowns that these depend on, and those of the part, by
+        the unknowns that it alone depends on.
+        """
         seen = matrix[others]
         known = (np.linalg.norm(seen, axis=0) > 0.0) & ~self.held
         step = np.zeros(len(x))
         if not known.any():
-            return step, 0.0
+            return step, 0.0, 0.0
         most = longest_step(space, x, ACCEPTANCE.largest_step)
         lower, upper = np.maximum(space.lower - x, -most), np.minimum(space.upper - x, most)
         scale = np.linalg.norm(matrix[:, known], axis=0)
         solver = StepSolver(seen[:, known], residuals[others], scale, lower[known], upper[known])
         step[known] = solver.step(damping)
         promised = solver.predicted_cost(np.zeros(known.sum())) - solver.predicted_cost(step[known])
-        own = matrix[self.part]
+        own, promised_own = matrix[self.part], 0.0
         alone = ~known & ~self.held & (np.linalg.norm(own, axis=0) > 0.0)
         if alone.any():
-            wanted = np.linalg.lstsq(own[:, alone], -own @ step, rcond=1e-6)[0]
+            missed = residuals[self.part] + own @ step
+            wanted = np.linalg.lstsq(own[:, alone], -missed, rcond=1e-6)[0]
             step[alone] = np.clip(wanted, lower[alone], upper[alone])
-        return step, promised
+            rest = missed + own[:, alone] @ step[alone]
+            promised_own = float(missed @ missed - rest @ rest)
+        return step, promised, promised_own
 
 
 def _parts(fitter: Fitter) -> list[IntArray]:

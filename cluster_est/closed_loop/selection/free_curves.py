@@ -265,7 +265,7 @@ class Merging:
                 return False
             if whole and leaves_more_than_noise(contender.fitted, first.floor):
                 return False
-            return min(_falls(fitter.records, current, contender.fitted)) > least
+            return min(criterion_falls(fitter.records, current, contender.fitted)) > least
 
         for contenders, least in ((self.named, 0.0), (curves, price)):
             if not any(fits_better(contender, least) for contender in contenders):
@@ -320,7 +320,9 @@ def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int)
     return float(likelihood + fitted.space.size * np.log(len(fitted.residuals)))
 
 
-def _falls(records: StackedRecords, before: FittedModel, after: FittedModel) -> tuple[float, float]:
+def criterion_falls(
+    records: StackedRecords, before: FittedModel, after: FittedModel
+) -> tuple[float, float]:
     """By how much the criterion falls: for white noise, and for noise as coloured as the rest."""
     order = SCREENING.autoregression
     coloured = [coloured_criterion(fitted, records, order) for fitted in (before, after)]

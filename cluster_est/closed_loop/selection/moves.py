@@ -17,7 +17,7 @@ import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.acceptance import admissible, can_be_linearised
-from cluster_est.closed_loop.selection.free_curves import free_curve
+from cluster_est.closed_loop.selection.free_curves import criterion_falls, free_curve
 from cluster_est.closed_loop.selection.gates import GATES, SELECTION, may_go_on
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
@@ -44,6 +44,7 @@ from cluster_est.closed_loop.selection.rounds import (
     can_be_claimed,
     claimable_sse,
     leaves_more_than_noise,
+    may_leave_noise,
     useful_sse,
 )
 from cluster_est.closed_loop.selection.starts import refit_from_other_starts
@@ -339,15 +340,22 @@ def merge_two(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
 
 
 def drop(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
-    """Drop the effects that do not pay for themselves; one is left at least."""
+    """Drop the effects that do not pay for themselves; one is left at least.
+
+    Where what is left may be the noise of sensors, they must also pay in noise as coloured as that:
+    slow noise always has some slow function that follows it.
+    """
     model, records = grown.model, fitter.records
     for position in reversed(range(len(model.added))):
         if len(model.added) < 2:
             break
         start = model.start.minus(position)
         (rest,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
-        most = model.criterion(records) + _saved(begun)
-        if rest is not None and rest.criterion(records) < most:
+        if rest is None:
+            continue
+        white, coloured = criterion_falls(records, rest, model)
+        fall = min(white, coloured) if may_leave_noise(begun, model) else white
+        if fall < _saved(begun):
             model = rest
     return grown if model is grown.model else replace(grown, model=model)
 

@@ -304,6 +304,15 @@ def can_be_claimed(begun: RoundStart, fitted: FittedModel) -> bool:
     return fitted.sse <= _least_claim_sse(begun)
 
 
+def may_leave_noise(begun: RoundStart, fitted: FittedModel) -> bool:
+    """Return whether what a structure leaves may be the noise of sensors, white or not.
+
+    It is as small as sigmas that are declared, or near the part of it that is white.
+    """
+    within = begun.sigma_declared and fitted.sse <= VERDICT.gap * len(fitted.residuals)
+    return within or fitted.sse <= _near_noise_sse(begun)
+
+
 def _least_claim_sse(begun: RoundStart) -> float:
     return max(_claim_sse(begun), _near_noise_sse(begun))
 

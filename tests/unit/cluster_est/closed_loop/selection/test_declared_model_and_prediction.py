@@ -98,12 +98,23 @@ def test_of_two_experiments_quarters_of_both_records_are_left_out():
         assert len(predict(bench.fitter, fitted_to(bench.fitter.problem, bench)).squares) == 8
 
 
-def test_what_belongs_to_the_left_out_experiment_follows_the_rest():
-    """As in held-out experiments: their own initial states are fitted to them."""
-    problem = measured(missing_effect_problem(NAME, experiments=3, local=("c",)), 0.03)
+@pytest.mark.parametrize("springs", [(), (26.0, 29.0, 33.0)])
+def test_what_belongs_to_the_left_out_experiment_follows_the_rest(springs):
+    """As in held-out experiments: their own initial states are fitted to them.
+
+    Of the wrong model, whose spring is another one in each, a refit takes several steps.
+    """
+    declared = missing_effect_problem(NAME, experiments=3, local=("c",))
+    problem = measured(declared, 0.03)
+    if springs:
+        runs = [
+            measured(started(declared, k=k), 0.003).experiments[e] for e, k in enumerate(springs)
+        ]
+        problem = replace(problem, experiments=tuple(runs))
     truth = []
     with opened(problem) as bench:
-        found = predict(bench.fitter, fitted_to(problem, bench))
+        fitted = fitted_to(problem, bench)
+        found = predict(bench.fitter, fitted)
         for e in range(3):
             others = make_space(problem, tuple(i for i in range(3) if i != e))
             known = others.estimates(refitted(bench, others).x)
@@ -113,7 +124,7 @@ def test_what_belongs_to_the_left_out_experiment_follows_the_rest():
             )
             own = make_space(replace(problem, parameters=shared), (e,))
             truth.append(refitted(bench, own).cost)
-    np.testing.assert_allclose(found.squares, truth, rtol=0.01)
+    np.testing.assert_allclose(found.squares, truth, rtol=0.1 if springs else 0.01)
 
 
 def test_a_step_of_a_logarithm_is_bounded_by_itself_not_by_the_value():
