@@ -39,6 +39,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row, read_results
 from cluster_est.html_report.scales import Scale
+from cluster_est.html_report.sweep_history import history, read_history
 from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
 PARAMETER = "parameter "
@@ -128,7 +129,7 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     words: list[Block] = []
     if best is not None and best.found is not None:
         words = [*parameter_table(best.found), *error_table(best.found)]
-    sections = (_estimates(ranked), _runs(runs))
+    sections = (_estimates(ranked), _history(folder, best), _runs(runs))
     page = rendered(
         "sweep.html",
         name=folder.resolve().name,
@@ -307,6 +308,13 @@ def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
         figures.append(_by_run(name, title, below, across, marks, drawn, ticks=2))
     blocks = (GridBlock(tuple(figures)),) if figures else ()
     return ReportSection("estimates", "Estimates", blocks)
+
+
+def _history(folder: Path, best: ListedRun | None) -> ReportSection:
+    """What changed since the sweep was called before."""
+    rows = () if best is None or best.found is None else best.found.tables["parameters"]
+    units = {row["label"]: row["unit"] for row in rows}
+    return history(read_history(folder), "" if best is None else best.name, units)
 
 
 def _runs(runs: Sequence[ListedRun]) -> ReportSection:
