@@ -44,8 +44,8 @@ HEIGHT = 110
 ROLES = (("rmse_train", "training", "after"), ("rmse_test", "held out", "before"))
 NOTE = (
     "A run is done again when its config, data, FMU or versions have changed. The table compares "
-    "the last two times. Errors are over sigma. A parameter is listed if its 95 % intervals of the "
-    "two times do not overlap."
+    "the last two times. Errors are over sigma, which is 1 where none is given. A parameter has "
+    "moved if its 95 % intervals of the two times do not overlap."
 )
 
 
@@ -113,7 +113,9 @@ def _sweep_file(folder: Path) -> str:
         return ""
 
 
-def history(found: Sequence[RunHistory], best: str, units: Mapping[str, str]) -> ReportSection:
+def history(
+    found: Sequence[RunHistory], best: str, units: Mapping[str, str], named: Mapping[str, str]
+) -> ReportSection:
     """Make the section: the last changes, and errors and the best run's parameters over days.
 
     Parameters
@@ -124,13 +126,15 @@ def history(found: Sequence[RunHistory], best: str, units: Mapping[str, str]) ->
         The name of the best run.
     units
         Of the parameters.
+    named
+        What pictures call each run.
     """
     blocks: list[Block] = []
     if found:
-        names = ("run", "#times", "last", "changed", "#training", "#held out", "parameters")
+        names = ("run", "#times", "last", "changed", "#training", "#held out", "moved parameters")
         blocks = [TextBlock(NOTE), table(names, [_line(each) for each in found])]
         ranked = sorted(found, key=lambda each: -_largest(each))[:MOST_FIGURES]
-        figures = [_errors(i, each) for i, each in enumerate(ranked)]
+        figures = [_errors(i, e, named.get(e.run, e.run)) for i, e in enumerate(ranked)]
         blocks.append(GridBlock(tuple(each for each in figures if each is not None)))
         if len(ranked) < len(found):
             said = f"Drawn are the {len(ranked)} runs whose errors changed most."
@@ -182,7 +186,7 @@ def _since(each: RunHistory) -> tuple[FloatArray, str]:
     return seconds / SECONDS[unit], unit
 
 
-def _errors(number: int, each: RunHistory) -> FigureBlock | None:
+def _errors(number: int, each: RunHistory, title: str) -> FigureBlock | None:
     times, marks = _since(each)[0], list[Mark]()
     for column, name, ink in ROLES:
         if np.isfinite(each.values(column)).any():
@@ -195,7 +199,7 @@ def _errors(number: int, each: RunHistory) -> FigureBlock | None:
     known = [each.values(column) for column, *_ in ROLES]
     up = Scale.around(*known, may_be_log=True)
     up = up if up.log else Scale.around(*known, np.zeros(1))
-    return _figure(f"history-{number}", each, each.run, "error over sigma", up, marks)
+    return _figure(f"history-{number}", each, title, "error over sigma", up, marks)
 
 
 def _parameter(number: int, each: RunHistory, label: str, units: Mapping[str, str]) -> FigureBlock:

@@ -129,7 +129,7 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     words: list[Block] = []
     if best is not None and best.found is not None:
         words = [*parameter_table(best.found), *error_table(best.found)]
-    sections = (_estimates(ranked), _history(folder, best), _runs(runs))
+    sections = (_estimates(ranked), _history(folder, runs, best), _runs(runs))
     page = rendered(
         "sweep.html",
         name=folder.resolve().name,
@@ -266,11 +266,16 @@ def _by_run(
     drawn: Sequence[ListedRun], *, ticks: int = 8,
 ) -> FigureBlock:  # fmt: skip
     """A picture with a row for each run."""
-    axes = _axes(drawn)
-    choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in drawn]
-    names = [own or run.name for own, run in zip(choices, drawn, strict=True)]
+    names = [*_short_names(drawn).values()]
     chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1, ticks=ticks)
     return FigureBlock(name, title, chart)
+
+
+def _short_names(runs: Sequence[ListedRun]) -> dict[str, str]:
+    """What each run has on the sweep's axes, or its name, by its name."""
+    axes = _axes(runs)
+    choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in runs]
+    return {run.name: own or run.name for own, run in zip(choices, runs, strict=True)}
 
 
 def _axes(runs: Sequence[ListedRun]) -> list[str]:
@@ -310,11 +315,12 @@ def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
     return ReportSection("estimates", "Estimates", blocks)
 
 
-def _history(folder: Path, best: ListedRun | None) -> ReportSection:
+def _history(folder: Path, runs: Sequence[ListedRun], best: ListedRun | None) -> ReportSection:
     """What changed since the sweep was called before."""
     rows = () if best is None or best.found is None else best.found.tables["parameters"]
     units = {row["label"]: row["unit"] for row in rows}
-    return history(read_history(folder), "" if best is None else best.name, units)
+    named = _short_names(runs)
+    return history(read_history(folder), "" if best is None else best.name, units, named)
 
 
 def _runs(runs: Sequence[ListedRun]) -> ReportSection:
