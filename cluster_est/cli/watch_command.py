@@ -126,8 +126,8 @@ def rendered(view: RunView) -> Group:
     if not view.ended and view.quiet > QUIET_SECONDS:
         parts.append(
             Text(
-                f"the run has written nothing for {duration(view.quiet)}, although it should "
-                "write once a second: it may hang, or have been killed"
+                f"the run has written nothing for {duration(view.quiet)}, although a run that "
+                "is alive writes every few seconds: it may hang, be paused, or have been killed"
             )
         )
     if view.searches:
