@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from cluster_est.config.reader import read_config
     from cluster_est.errors import ClusterEstError
     from cluster_est.experiment_design.design import design
+    from cluster_est.experiment_design.limits import ExperimentLimits
+    from cluster_est.experiment_design.request import DesignSettings
     from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
     from cluster_est.problem.costs import CauchyCost, HuberCost, SoftL1
     from cluster_est.problem.fmu_file import read_model
@@ -28,12 +30,15 @@ if TYPE_CHECKING:
     from cluster_est.problem.priors import LogNormalPrior, NormalPrior
     from cluster_est.problem.problem import Problem
     from cluster_est.problem.tables.files import read_table
+    from cluster_est.problem.tables.measured_table import Reading
+    from cluster_est.problem.thinning import ThinningSettings
     from cluster_est.results.compare import compare
     from cluster_est.results.result import Result
     from cluster_est.run_folder.saved_result import load
     from cluster_est.running.multistart import Multistart
     from cluster_est.running.resources import Budget, Resources
     from cluster_est.sensitivity.analysis import analyse_sensitivity
+    from cluster_est.sensitivity.settings import SensitivitySettings
     from cluster_est.shooting.record_segments import Shooting
     from cluster_est.studies.fit import fit, simulate
     from cluster_est.studies.residual_function import residuals
@@ -63,8 +68,10 @@ __all__ = [
     "Budget",
     "CauchyCost",
     "ClusterEstError",
+    "DesignSettings",
     "Effect",
     "Experiment",
+    "ExperimentLimits",
     "HuberCost",
     "Input",
     "LeastSquares",
@@ -78,11 +85,14 @@ __all__ = [
     "Output",
     "Parameter",
     "Problem",
+    "Reading",
     "Resources",
     "Result",
+    "SensitivitySettings",
     "Shooting",
     "SoftL1",
     "Solver",
+    "ThinningSettings",
     "UncertaintySettings",
     "add_effect",
     "analyse_sensitivity",
@@ -121,6 +131,8 @@ _MODULES = {
     "cluster_est.config.reader": ("read_config",),
     "cluster_est.errors": ("ClusterEstError",),
     "cluster_est.experiment_design.design": ("design",),
+    "cluster_est.experiment_design.limits": ("ExperimentLimits",),
+    "cluster_est.experiment_design.request": ("DesignSettings",),
     "cluster_est.methods.least_squares.levenberg_marquardt": ("LeastSquares",),
     "cluster_est.problem.costs": (
         "CauchyCost",
@@ -135,6 +147,8 @@ _MODULES = {
     ),
     "cluster_est.problem.problem": ("Problem",),
     "cluster_est.problem.tables.files": ("read_table",),
+    "cluster_est.problem.tables.measured_table": ("Reading",),
+    "cluster_est.problem.thinning": ("ThinningSettings",),
     "cluster_est.results.compare": ("compare",),
     "cluster_est.results.result": ("Result",),
     "cluster_est.run_folder.saved_result": ("load",),
@@ -144,6 +158,7 @@ _MODULES = {
         "Resources",
     ),
     "cluster_est.sensitivity.analysis": ("analyse_sensitivity",),
+    "cluster_est.sensitivity.settings": ("SensitivitySettings",),
     "cluster_est.shooting.record_segments": ("Shooting",),
     "cluster_est.studies.fit": (
         "fit",

@@ -204,7 +204,7 @@ class Settings(ConfigSection):
             return given
         if isinstance(given, Settings):
             raise ProblemError(
-                f"{cls.section}: must be of {cls.__name__} but is {type(given).__name__}"
+                f"{cls.section}: must be {cls.__name__}(...) but is {type(given).__name__}(...)"
             )
         if given is None:
             return cls()

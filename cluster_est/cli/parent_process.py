@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import NoReturn
 
 SENTENCE = (
-    "cluster-est: the process of this command has died ({}): something in it has crashed or ended "
-    "it (Ray does when its raylet on this machine dies, as for lack of memory), or it was killed "
-    "from outside; --resume continues a run that was begun"
+    "cluster-est: the process of this command has died ({}). Something in it has crashed or ended "
+    "it, or it was killed from outside. Ray ends it when Ray's process on this machine dies, for "
+    "example for lack of memory. --resume continues a run that was begun"
 )
 OF_FMU = (
-    "cluster-est: the process of this command has died ({}): an FMU that runs in it has crashed or "
+    "cluster-est: the process of this command has died ({}). An FMU that runs in it has crashed or "
     'ended it, or it was killed from outside. With executor.name = "processes" each FMU has a '
-    "process of its own, and a crash costs only its simulation; --resume continues a run that was "
+    "process of its own, and a crash costs only its simulation. --resume continues a run that was "
     "begun"
 )
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()

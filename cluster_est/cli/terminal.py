@@ -7,25 +7,21 @@ import os
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
-from typing import Self
 
 from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 
 from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.run_files import RunStatus
-from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.heartbeat import beating
-from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
+from cluster_est.running.progress_line import TerminalPlace, shown_at
+from cluster_est.running.resources import Resources, RunSnapshot, Show
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.core.build import built, is_built
 
-SECONDS_BETWEEN_REDRAWS = 0.1
 SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
 """Least time between two printed lines: seconds, and share of the time that the run has taken."""
 HINT_SECONDS = 20.0
@@ -44,71 +40,34 @@ EXIT_CODES = {
 }
 
 
-class ProgressLine:
-    """A line with what is done, the time left, evaluations per second and busy workers.
-
-    On a terminal it is renewed in place; elsewhere it is printed once in a while, less and less
-    often. Where more workers would help, a sentence says so once.
+class PrintedPlace:
+    """Prints a line once in a while, less and less often: for errors that go to a file.
 
     Parameters
     ----------
     console
         Where to.
-    budget
-        What the time left is counted from.
-    cores
-        Of this machine.
     clock
         Gives seconds; for tests.
-    most_workers
-        That can be started; None for any number.
     """
 
-    def __init__(
-        self,
-        console: Console,
-        budget: Budget,
-        cores: int | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        *,
-        most_workers: int | None = None,
-    ) -> None:
-        self._budget, self._console, self._clock = budget, console, clock
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
+        self._console, self._clock = console, clock
         self._begun = self._printed = clock()
-        self._hint = WorkerHint(os.cpu_count() or 1 if cores is None else cores, most_workers)
-        self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._enabled = console.is_terminal
-        self._shown = 0.0
 
-    def __enter__(self) -> Self:
-        if self._enabled:
-            self._live.start()
-            self._put("starting")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._enabled:
-            self._live.stop()
-
-    def show(self, snapshot: RunSnapshot) -> None:
-        """Refresh, at most ten times a second."""
+    def put(self, text: str) -> None:
+        """Print a text if that is due."""
         now = self._clock()
-        if now - self._shown <= SECONDS_BETWEEN_REDRAWS:
-            return
-        self._shown = now
-        if hint := self._hint.look(snapshot):
-            self._print(hint)
-        if self._enabled:
-            self._put(line(snapshot, self._budget))
-        elif now - self._printed >= max(SECONDS_OF_LINES, SHARE_OF_LINES * (now - self._begun)):
+        if now - self._printed >= max(SECONDS_OF_LINES, SHARE_OF_LINES * (now - self._begun)):
             self._printed = now
-            self._print(line(snapshot, self._budget))
+            _print(self._console, text)
 
-    def _print(self, text: str) -> None:
-        self._console.print(f"cluster-est: {text}", soft_wrap=True, highlight=False, markup=False)
+    def close(self) -> None:
+        """Leave what was printed."""
 
-    def _put(self, text: str) -> None:
-        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+def _print(console: Console, text: str) -> None:
+    console.print(f"cluster-est: {text}", soft_wrap=True, highlight=False, markup=False)
 
 
 class WorkerHint:
@@ -147,38 +106,6 @@ class WorkerHint:
             f"simulations wait; executor.workers={self._useful} would be faster, and the result "
             "the same (stop with Ctrl-C, continue with --resume)"
         )
-
-
-def line(snapshot: RunSnapshot, budget: Budget) -> str:
-    """The text of the line."""
-    progress = snapshot.progress
-    rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
-    done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
-    parts = [
-        f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
-        left_of_step(snapshot.phase, snapshot.left, at_most=snapshot.at_most),
-        pace_of(snapshot.pace),
-        "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
-        f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
-        f"{snapshot.busy}/{snapshot.workers} workers busy",
-        f"{snapshot.seconds:.0f} s",
-        _left(snapshot, budget, rate),
-    ]
-    if snapshot.failures:
-        parts.insert(4, f"{snapshot.failures} simulations failed")
-    return " | ".join(part for part in parts if part)
-
-
-def _left(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
-    """Time left of the budget of a recipe of many steps; that of a single one is said already."""
-    if not snapshot.phase and not math.isnan(snapshot.left):
-        return ""
-    limits = []
-    if budget.seconds is not None:
-        limits.append(budget.seconds - snapshot.seconds)
-    if budget.evaluations is not None and rate > 0.0:
-        limits.append((budget.evaluations - snapshot.evaluations) / rate)
-    return f"at most {max(0.0, min(limits)):.0f} s left" if limits else ""
 
 
 def build_core(answer: Answer) -> None:
@@ -234,17 +161,24 @@ def alive(doing: str) -> Iterator[None]:
     if not console.is_terminal:
         yield
         return
-    with Live(console=console, auto_refresh=False, transient=True) as live:
-
-        def show(snapshot: RunSnapshot) -> None:
-            live.update(Text(f"{doing}, {snapshot.seconds:.0f} s", no_wrap=True), refresh=True)
-
-        with beating(show):
-            yield
+    with (
+        closing(TerminalPlace(console)) as place,
+        beating(lambda snapshot: place.put(f"{doing}, {snapshot.seconds:.0f} s")),
+    ):
+        yield
 
 
 @contextmanager
 def _progress(resources: Resources) -> Iterator[Show]:
-    console, most = Console(stderr=True), resources.instances
-    with ProgressLine(console, resources.budget, most_workers=most) as line:
-        yield line.show
+    """Give what shows how far a run is, and says once that more workers would help."""
+    console = Console(stderr=True)
+    place = TerminalPlace(console) if console.is_terminal else PrintedPlace(console)
+    hint = WorkerHint(os.cpu_count() or 1, resources.instances)
+    with shown_at(place, resources.budget) as show:
+
+        def look(snapshot: RunSnapshot) -> None:
+            if said := hint.look(snapshot):
+                _print(console, said)
+            show(snapshot)
+
+        yield look

@@ -22,7 +22,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.html_report.number_text import count, duration
 from cluster_est.html_report.page import write_report
 from cluster_est.run_folder.run_files import left_alone
-from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
+from cluster_est.running.progress_line import left_of_step, pace_of, what_is_done
 from cluster_est.running.resources import RunSnapshot
 from cluster_est.watching.follower import RunFollower, RunView
 from cluster_est.watching.traces import SearchView
@@ -126,8 +126,8 @@ def rendered(view: RunView) -> Group:
     if not view.ended and view.quiet > QUIET_SECONDS:
         parts.append(
             Text(
-                f"the run has written nothing for {duration(view.quiet)}, although it should "
-                "write once a second: it may hang, or have been killed"
+                f"the run has written nothing for {duration(view.quiet)}, although a run that "
+                "is alive writes every few seconds: it may hang, be paused, or have been killed"
             )
         )
     if view.searches:

@@ -42,6 +42,7 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.results.interpolation import PreferredInterpolation
+from cluster_est.results.states import with_states
 from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.progress_line import Callback
@@ -80,7 +81,8 @@ class ClosedLoop(Study[LoopResult]):
     @override
     def run(self, environment: RunEnvironment) -> LoopResult:
         rows = self.thinning.most()
-        return run_loop(LoopRequest(self.problem, environment, self.settings, self.seed, rows))
+        found = run_loop(LoopRequest(self.problem, environment, self.settings, self.seed, rows))
+        return replace(found, after=with_states(found.after, environment.resources))
 
 
 def close_loop(

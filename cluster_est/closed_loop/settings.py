@@ -17,36 +17,25 @@ from workers.fmu.description import nearest
 class LoopStage(enum.Enum):
     """A stage of a closed loop; its value is the name of its searches in the log.
 
-    Attributes
-    ----------
-    title
-        A text for people, as in "stopped while ...".
+    `running.progress_line.SEARCH_TITLES` has a text for people for each. The final fits have
+    searches of their own beside "final", such as "before" and "after".
     """
 
-    title: str
-
-    def __new__(cls, value: str, title: str) -> LoopStage:
-        """Make a member of a name and a title."""
-        stage = object.__new__(cls)
-        stage._value_ = value
-        stage.title = title
-        return stage
-
-    WEIGHTS = "weights", "weighting the outputs"
-    DECLARED_MODEL = "base", "fitting the declared model"
-    LEAVE_ONE_OUT = "leave one out", "predicting experiments that were left out"
-    TRAJECTORIES = "course", "screening the candidates"
-    TESTS = "tests", "testing the candidates"
-    PROBE = "probe", "screening the candidates"
-    TRIALS = "trial", "trying candidates"
-    REFITS = "candidate", "refitting candidates"
-    ENLARGED_INPUTS = "enlarged", "simulating with larger inputs"
-    DECLARED_AGAIN = "return", "fitting the declared model again"
-    OTHER_STARTS = "other starts", "refitting from other starts"
-    SWAP = "swap", "revising the effects"
-    DROP = "drop", "revising the effects"
-    FINAL = "final", "the final fits"
-    PROCESS_NOISE = "process noise", "fitting the process noise"
+    WEIGHTS = "weights"
+    DECLARED_MODEL = "base"
+    LEAVE_ONE_OUT = "leave one out"
+    TRAJECTORIES = "course"
+    TESTS = "tests"
+    PROBE = "probe"
+    TRIALS = "trial"
+    REFITS = "candidate"
+    ENLARGED_INPUTS = "enlarged"
+    DECLARED_AGAIN = "return"
+    OTHER_STARTS = "other starts"
+    SWAP = "swap"
+    DROP = "drop"
+    FINAL = "final"
+    PROCESS_NOISE = "process noise"
 
 
 class CandidateStage(enum.StrEnum):
@@ -57,15 +46,6 @@ class CandidateStage(enum.StrEnum):
     SCREENED = "screened"
     REFITTED = "refitted"
     ACCEPTED = "accepted"
-
-
-def stage_title(search: str) -> str:
-    """Return what a person reads of a search, by its name in the log; the name if it is no stage's.
-
-    The final fits have searches of their own beside "final", such as "before" and "after".
-    """
-    titles = {stage.value: stage.title for stage in LoopStage}
-    return titles.get(search, search)
 
 
 def _sites(given: tuple[str, ...]) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ from cluster_est.html_report.page_blocks import (
     TextBlock,
     with_unit,
 )
-from cluster_est.html_report.recorded_curves import InputCurve, Key, OutputCurves
+from cluster_est.html_report.recorded_curves import Key, OutputCurves, SignalCurve
 from cluster_est.html_report.reported_run import ReportedRun
 from cluster_est.html_report.scales import Scale
 from cluster_est.problem.tables.gaps import long_steps
@@ -274,7 +274,7 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
     return said
 
 
-def _input(given: InputCurve, across: _Across) -> Plot:
+def _input(given: SignalCurve, across: _Across) -> Plot:
     """An input above the output."""
     time, x = given.time / across.seconds, across.x
     inside = np.flatnonzero((time >= x.low) & (time <= x.high))

@@ -181,7 +181,7 @@ def _predictions(run: ReportedRun) -> list[Block]:
         table(
             ("predicted", "of", "unit", "#standard deviation now", "#after it", "#a random input"),
             [(code(r["output"]), r["experiment"], r["unit"], *_errors(r)) for r in rows],
-            "Expected effect of the experiment on predictions: their uncertainty from the "
-            "parameters, as a root mean square over the samples",
+            "Expected uncertainty of the predictions, before and after the experiment: the part "
+            "from the parameters, as a root mean square over the samples",
         )
     ]

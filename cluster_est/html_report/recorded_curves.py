@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -17,8 +17,8 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class InputCurve:
-    """An input of an experiment: straight lines between its samples, or steps drawn as such."""
+class SignalCurve:
+    """An input or a state of an experiment: straight lines between samples, steps drawn as such."""
 
     name: str
     unit: str
@@ -32,7 +32,7 @@ class OutputCurves:
 
     `before` is NaN where it is not known; `fine` are the simulated curves with a time of their own,
     as time, after and before; `band` is where the output lies by the posterior; `inputs` are those
-    of the experiment that do not stay the same.
+    of the experiment that do not stay the same, and `states` those of the model, where known.
     """
 
     role: str
@@ -43,7 +43,8 @@ class OutputCurves:
     residual: FloatArray = field(repr=False)
     fine: tuple[FloatArray, FloatArray, FloatArray] | None = field(default=None, repr=False)
     band: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False)
-    inputs: tuple[InputCurve, ...] = field(default=(), repr=False)
+    inputs: tuple[SignalCurve, ...] = field(default=(), repr=False)
+    states: tuple[SignalCurve, ...] = field(default=(), repr=False)
 
     @property
     def span(self) -> float:
@@ -57,34 +58,62 @@ class OutputCurves:
         return bool(np.isfinite(self.time).any())
 
 
-def recorded_curves(tables: Mapping[str, pa.Table | None]) -> dict[Key, OutputCurves]:
+def recorded_curves(
+    tables: Mapping[str, pa.Table | None], experiment: str | None = None
+) -> dict[Key, OutputCurves]:
     """Read the curves of a run.
 
     Parameters
     ----------
     tables
-        residuals, trajectories, predictions and inputs, None where the run has none.
+        residuals, trajectories, predictions, inputs and states, as far as the run has them.
+    experiment
+        The only one that is read; all if None.
     """
-    simulated, predicted = _parts(tables["trajectories"]), _parts(tables["predictions"])
-    inputs: dict[str, list[InputCurve]] = {}
-    for (experiment, name), part in _parts(tables["inputs"], "input").items():
-        time, value = _column(part, "time"), _column(part, "value")
-        if np.ptp(value) > 0.0:
-            if part["interpolation"][0].as_py() == "hold":
-                time, value = np.repeat(time, 2)[1:], np.repeat(value, 2)[:-1]
-            unit = part["unit"][0].as_py() or ""
-            inputs.setdefault(experiment, []).append(InputCurve(name, unit, time, value))
+
+    def parts(name: str, of: str = "output") -> dict[Key, pa.Table]:
+        table = tables.get(name)
+        if table is not None and experiment is not None and "experiment" in table.column_names:
+            table = table.filter(pc.equal(table["experiment"], experiment))
+        return _parts(table, of)
+
+    simulated, predicted = parts("trajectories"), parts("predictions")
+    inputs = _signals(parts("inputs", "input"), kept=lambda value: bool(np.ptp(value) > 0.0))
+    states = _signals(parts("states", "state"))
     return {
-        key: _curves(part, simulated.get(key), predicted.get(key), tuple(inputs.get(key[0], ())))
-        for key, part in _parts(tables["residuals"]).items()
+        key: _curves(
+            part,
+            simulated.get(key),
+            predicted.get(key),
+            tuple(inputs.get(key[0], ())),
+            tuple(states.get(key[0], ())),
+        )
+        for key, part in parts("residuals").items()
     }
+
+
+def _signals(
+    parts: Mapping[Key, pa.Table], kept: Callable[[FloatArray], bool] = lambda _: True
+) -> dict[str, list[SignalCurve]]:
+    """What was fed in, or what the states were, of each experiment, as far as it is kept."""
+    found: dict[str, list[SignalCurve]] = {}
+    for (experiment, name), part in parts.items():
+        time, value = _column(part, "time"), _column(part, "value")
+        if not kept(value):
+            continue
+        if "interpolation" in part.column_names and part["interpolation"][0].as_py() == "hold":
+            time, value = np.repeat(time, 2)[1:], np.repeat(value, 2)[:-1]
+        unit = part["unit"][0].as_py() or ""
+        found.setdefault(experiment, []).append(SignalCurve(name, unit, time, value))
+    return found
 
 
 def _curves(
     table: pa.Table,
     finer: pa.Table | None,
     predicted: pa.Table | None,
-    inputs: tuple[InputCurve, ...],
+    inputs: tuple[SignalCurve, ...],
+    states: tuple[SignalCurve, ...],
 ) -> OutputCurves:
     """The rows of one output of one experiment as curves."""
     time, measured, after, before, residual = (
@@ -100,7 +129,7 @@ def _curves(
     if predicted is not None and predicted.num_rows == len(time):
         band = _column(predicted, "lower"), _column(predicted, "upper")
     role = str(table["role"][0].as_py())
-    return OutputCurves(role, time, measured, after, before, residual, fine, band, inputs)
+    return OutputCurves(role, time, measured, after, before, residual, fine, band, inputs, states)
 
 
 def _parts(table: pa.Table | None, of: str = "output") -> dict[Key, pa.Table]:

@@ -30,7 +30,7 @@ SMALL_TABLES = (
     "prediction_precision", "next_input", "expected",
 )  # fmt: skip
 NO_ACTIVITY = LogActivity(0, (), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
-WIDE_TABLES = ("residuals", "trajectories", "predictions", "inputs")
+WIDE_TABLES = ("residuals", "trajectories", "predictions", "inputs", "states")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ReportedRun:
         The rows of each small table, by its name; a table that is not there has none. "progress"
         has the lines of all searches in the order in which they came.
     wide
-        residuals, trajectories, predictions and inputs; None for what is not there.
+        residuals, trajectories, predictions, inputs and states; None for what is not there.
     activity
         What the log says of workers and failures.
     """

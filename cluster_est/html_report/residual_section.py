@@ -41,7 +41,9 @@ DRAWN_LAGS = 100
 MOST_DOTS, MEANS, BINS = 300, 16, 30
 """Samples that are drawn over a variable, their means over it, and bars of a histogram."""
 MOST_VARIABLES = 4
-"""Inputs that residuals are drawn over."""
+"""Inputs that residuals are drawn over, and states: of these the ones over which they bend most."""
+ALIKE = 0.9999
+"""Correlation above which a state is not drawn: it is the output, its rate or an input."""
 COVERED = 1.96
 HEIGHT = 130
 NOTE = (
@@ -54,7 +56,7 @@ NOTE = (
 
 
 def residuals(run: ReportedRun) -> ReportSection:
-    """Autocorrelation, histogram, and residuals over time, rate, output and inputs."""
+    """Autocorrelation, histogram, and residuals over time, output, rate, inputs and states."""
     outputs: dict[str, list[OutputCurves]] = {}
     for (_, output), each in run.curves.items():
         known = np.isfinite(each.measured - each.after).sum()
@@ -81,13 +83,12 @@ def _size(records: list[OutputCurves]) -> float:
 def _output(id_: str, name: str, unit: str, records: list[OutputCurves]) -> list[Block]:
     rest = [each.measured - each.after for each in records]
     label = with_unit("residual", unit)
-    over = [
-        _over(f"{id_}-{i}", *each, rest, label)
-        for i, each in enumerate(_variables(name, unit, records))
-    ]
-    known = [each for each in over if each is not None]
+    known = _variables(name, unit, records)
+    known += _states(records, rest, known)
+    over = [_over(f"{id_}-{i}", *each, rest, label) for i, each in enumerate(known)]
+    drawn = [each for each in over if each is not None]
     lags = _autocorrelation(f"{id_}-lags", rest, records)
-    return [GridBlock((*lags, _histogram(f"{id_}-histogram", rest, label), *known))]
+    return [GridBlock((*lags, _histogram(f"{id_}-histogram", rest, label), *drawn))]
 
 
 def _autocorrelation(
@@ -161,6 +162,50 @@ def _variables(name: str, unit: str, records: list[OutputCurves]) -> list[Variab
             label = with_unit(f"input {given.name}", given.unit)
             found.append((f"input {given.name}", label, values))
     return found
+
+
+def _states(
+    records: list[OutputCurves], rest: list[FloatArray], others: list[Variable]
+) -> list[Variable]:
+    """The states over which the means bend most; none that is another variable already."""
+    up, found = np.concatenate(rest), []
+    known = [np.concatenate(values) for _, _, values in others]
+    for name, unit in {s.name: s.unit for each in records for s in each.states}.items():
+        values = [_at_times(each, name) for each in records]
+        across = np.concatenate(values)
+        if any(_alike(across, each) for each in known):
+            continue
+        known.append(across)
+        label = with_unit(f"state {name}", unit)
+        found.append((_bend(across, up), (f"state {name}", label, values)))
+    found.sort(key=lambda each: -each[0])
+    return [variable for _, variable in found[:MOST_VARIABLES]]
+
+
+def _at_times(record: OutputCurves, name: str) -> FloatArray:
+    """A state at the measured times; NaN where it was not kept."""
+    for state in record.states:
+        if state.name == name:
+            at = np.searchsorted(state.time, record.time).clip(max=len(state.time) - 1)
+            return np.where(state.time[at] == record.time, state.value[at], np.nan)
+    return np.full(len(record.time), np.nan)
+
+
+def _alike(one: FloatArray, other: FloatArray) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < FEWEST_SAMPLES or not np.ptp(one[both]) > 0.0 or not np.ptp(other[both]) > 0.0:
+        return False
+    return bool(abs(np.corrcoef(one[both], other[both])[0, 1]) > ALIKE)
+
+
+def _bend(across: FloatArray, up: FloatArray) -> float:
+    """Share of the sum of squares that the means over a variable explain."""
+    known = np.isfinite(across) & np.isfinite(up)
+    across, up = across[known], up[known]
+    total = float(np.sum(up**2))
+    parts = np.array_split(up[np.argsort(across, kind="stable")], MEANS)
+    explained = sum(len(each) * float(np.mean(each)) ** 2 for each in parts if len(each))
+    return explained / total if total > 0.0 else 0.0
 
 
 def _rate(each: OutputCurves) -> FloatArray:

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from cluster_est.closed_loop.settings import stage_title
 from cluster_est.html_report.activity import busy_shares, without_breaks
 from cluster_est.html_report.charts import (
     Cells,
@@ -36,6 +35,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
 from cluster_est.html_report.scales import Scale
+from cluster_est.running.progress_line import search_title
 
 MOST_DRAWN_SEARCHES = 40
 """Searches that are drawn: the best ones."""
@@ -170,7 +170,7 @@ def _all_searches(run: ReportedRun) -> list[Block]:
             )
         ]
     marks = []
-    titles = {row["search"]: stage_title(row["search"]) for _, row in rows}
+    titles = {row["search"]: search_title(row["search"]) for _, row in rows}
     for place, name in enumerate(dict.fromkeys(titles.values())):
         own = [(number, row["cost"]) for number, row in rows if titles[row["search"]] == name]
         x, y = (np.array(values, float) for values in zip(*own, strict=True))

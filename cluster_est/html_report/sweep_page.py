@@ -39,6 +39,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row, read_results
 from cluster_est.html_report.scales import Scale
+from cluster_est.html_report.sweep_history import history, read_history
 from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
 PARAMETER = "parameter "
@@ -128,7 +129,7 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     words: list[Block] = []
     if best is not None and best.found is not None:
         words = [*parameter_table(best.found), *error_table(best.found)]
-    sections = (_estimates(ranked), _runs(runs))
+    sections = (_estimates(ranked), _history(folder, runs, best), _runs(runs))
     page = rendered(
         "sweep.html",
         name=folder.resolve().name,
@@ -265,11 +266,16 @@ def _by_run(
     drawn: Sequence[ListedRun], *, ticks: int = 8,
 ) -> FigureBlock:  # fmt: skip
     """A picture with a row for each run."""
-    axes = _axes(drawn)
-    choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in drawn]
-    names = [own or run.name for own, run in zip(choices, drawn, strict=True)]
+    names = [*_short_names(drawn).values()]
     chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1, ticks=ticks)
     return FigureBlock(name, title, chart)
+
+
+def _short_names(runs: Sequence[ListedRun]) -> dict[str, str]:
+    """What each run has on the sweep's axes, or its name, by its name."""
+    axes = _axes(runs)
+    choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in runs]
+    return {run.name: own or run.name for own, run in zip(choices, runs, strict=True)}
 
 
 def _axes(runs: Sequence[ListedRun]) -> list[str]:
@@ -307,6 +313,14 @@ def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
         figures.append(_by_run(name, title, below, across, marks, drawn, ticks=2))
     blocks = (GridBlock(tuple(figures)),) if figures else ()
     return ReportSection("estimates", "Estimates", blocks)
+
+
+def _history(folder: Path, runs: Sequence[ListedRun], best: ListedRun | None) -> ReportSection:
+    """What changed since the sweep was called before."""
+    rows = () if best is None or best.found is None else best.found.tables["parameters"]
+    units = {row["label"]: row["unit"] for row in rows}
+    named = _short_names(runs)
+    return history(read_history(folder), "" if best is None else best.name, units, named)
 
 
 def _runs(runs: Sequence[ListedRun]) -> ReportSection:

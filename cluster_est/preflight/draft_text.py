@@ -257,7 +257,7 @@ def _held(column: TableColumn, name: str) -> str:
 
 def _why_held(column: TableColumn) -> str:
     """Say why each sample of an input is kept, where it is."""
-    return 'it jumps; "linear" if it does not' if column.jumps else ""
+    return 'it jumps; a fit says so if the data prefer "linear"' if column.jumps else ""
 
 
 def _why_taken(match: ColumnMatch) -> str:

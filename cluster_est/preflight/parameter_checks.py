@@ -73,7 +73,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         lines.append(passed("parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0])
     if len(found) < len(names):
-        left = f"{len(names) - len(found)} of {len(names)} were not moved"
+        left = f"{len(names) - len(found)} of {len(names)} were not tested"
         lines.append(unanswered("parameters", NoAnswer(left, late=True)))
     return lines
 

@@ -293,8 +293,8 @@ def refused_parameters(names: Sequence[str]) -> CheckFinding:
     """Return a line for parameters that cannot be set."""
     return note(
         "parameters",
-        f"{listed(names)}: the FMU refuses to be given a value, though its modelDescription.xml "
-        "lists a parameter that can be set; checked without",
+        f"{listed(names)}: the FMU refuses a value, although its modelDescription.xml lists a "
+        "parameter that can be set; the check went on without it",
         "do not estimate it, or ask the exporter of the FMU",
     )
 

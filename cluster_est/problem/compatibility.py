@@ -169,8 +169,8 @@ def need_sigmas(problem: Problem, why: str) -> None:
             if len(output.times) and not output.has_sigma:
                 raise ProblemError(
                     f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is "
-                    f"missing; {why}; give every output its own, and write 1.000001 instead of 1, "
-                    "which stands for no sigma"
+                    f"missing; {why}; give every output its own (for a sigma of 1, write "
+                    "1.000001, because 1 means that none is given)"
                 )
 
 

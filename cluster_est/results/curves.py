@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,29 @@ from cluster_est.results.output_errors import (
 )
 from cluster_est.uncertainty import PosteriorResult, PredictedBand
 from workers.messages import Experiment, FloatArray, Outcome, Output, Trajectory
+from workers.messages.types import by_content
+
+
+@by_content
+@dataclass(frozen=True)
+class StatePaths:
+    """The states of the model in one experiment, at times at which something was measured.
+
+    Attributes
+    ----------
+    experiment
+        Its id.
+    states, units
+        The FMU's name and unit of each; "" where it names none.
+    times : (n,)
+    values : (n, states)
+    """
+
+    experiment: str
+    states: tuple[str, ...]
+    units: tuple[str, ...]
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
 
 
 def residual_table(
@@ -85,6 +109,21 @@ def input_table(problem: Problem) -> pa.Table:
             columns["value"].append(given.values)
     names = ["experiment", "input", "unit", "interpolation", "time", "value"]
     return pa.table({name: _joined(columns[name]) for name in names})
+
+
+def state_table(paths: Sequence[StatePaths]) -> pa.Table:
+    """Each state of each experiment over time, at the estimates."""
+    parts = [(each, j) for each in paths for j in range(len(each.states))]
+    lengths = [len(each.times) for each, _ in parts]
+    return pa.table(
+        {
+            "experiment": np.repeat([each.experiment for each, _ in parts], lengths),
+            "state": np.repeat([each.states[j] for each, j in parts], lengths),
+            "unit": np.repeat([each.units[j] for each, j in parts], lengths),
+            "time": _joined([each.times for each, _ in parts]),
+            "value": _joined([each.values[:, j] for each, j in parts]),
+        }
+    )
 
 
 def posterior_table(posterior: PosteriorResult) -> pa.Table:

@@ -17,10 +17,12 @@ from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.results.criteria import InformationCriteria, information_criteria
 from cluster_est.results.curves import (
+    StatePaths,
     input_table,
     posterior_table,
     prediction_table,
     residual_table,
+    state_table,
     trajectory_table,
 )
 from cluster_est.results.facts import fit_facts, fit_notes
@@ -120,6 +122,8 @@ class Result(ResultView):
         Whether the user or the budget ended it.
     seed
         Of the method.
+    states
+        Of the model at the estimates, for some training experiments; see `with_states`.
     """
 
     problem: Problem
@@ -154,6 +158,7 @@ class Result(ResultView):
     interrupted: bool = False
     seed: int = 0
     before: tuple[Simulation, ...] = ()
+    states: tuple[StatePaths, ...] = ()
 
     @property
     def success(self) -> bool:
@@ -205,7 +210,8 @@ class Result(ResultView):
     @override
     def tables(self) -> tuple[str, ...]:
         optional = (name for name, rows in self.optional_rows().items() if rows)
-        wide = [name for name in ("shapes", "posterior", "predictions") if getattr(self, name)]
+        known = ("states", "shapes", "posterior", "predictions")
+        wide = [name for name in known if getattr(self, name)]
         if any(experiment.inputs for experiment in self.problem.experiments):
             wide.insert(0, "inputs")
         return ("parameters", "errors", "residuals", "trajectories", *wide, *optional)
@@ -235,6 +241,8 @@ class Result(ResultView):
             return trajectory_table(self.problem, self.simulations, self.before)
         if name == "inputs" and name in self.tables:
             return input_table(self.problem)
+        if name == "states" and self.states:
+            return state_table(self.states)
         if name == "shapes" and self.shapes:
             return curve_table(self.shapes)
         if name == "posterior" and self.posterior:

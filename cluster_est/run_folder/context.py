@@ -14,8 +14,8 @@ from cluster_est.run_folder.resume import check_resumable, is_finished
 from cluster_est.run_folder.run_files import RunStatus, read_facts
 from cluster_est.run_folder.run_folder import RunFolder, RunResult, check_free
 from cluster_est.run_folder.run_identity import RunIdentity
-from cluster_est.run_folder.run_progress import search_title
 from cluster_est.running.environment import EarlierRun, Monitor
+from cluster_est.running.progress_line import search_title
 from cluster_est.running.reset_policy import ResetDecision, recorded
 from cluster_est.running.resources import RunSnapshot, SearchIteration, Show, TaskOrigin
 from workers.messages import Outcome

@@ -56,6 +56,14 @@ def run_worth(status: str, doubts: Sequence[str]) -> RunWorth:
 Rows = list[dict[str, Any]]
 SWEEP_SUMMARY_FILE = "summary.parquet"
 """The table of a sweep in its folder, with a row for each run."""
+SWEEP_HISTORY_FILE = "history.parquet"
+"""The same with a row for each time that a run was done."""
+SWEEP_STATE_FILE = "sweep.json"
+"""Where each run of a sweep stands, and which file it is of."""
+HISTORY_INPUTS = {
+    "config_hash": "config", "data_hash": "data", "fmu_hash": "FMU", "versions_hash": "versions"
+}  # fmt: skip
+"""Columns of a history, and what they are the hash of."""
 WITHOUT_ESTIMATES = {"sensitivity": "sensitivity analysis", "design": "design"}
 """Runs that estimate nothing, by the key of run.json that they have."""
 

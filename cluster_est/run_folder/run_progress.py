@@ -1,4 +1,4 @@
-"""The progress of a run: a small file for those who watch its folder from elsewhere, and words.
+"""The progress of a run: a small file for those who watch its folder from elsewhere.
 
 The file has a line for each iteration of each search, and one a second for the whole run. It is a
 log and no result; nothing reads it to go on.
@@ -16,10 +16,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from cluster_est.closed_loop.settings import stage_title
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.method import Progress
-from cluster_est.running.progress_line import SEARCH_TITLES
 from cluster_est.running.resources import BestPoint, RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
@@ -181,45 +179,3 @@ class ProgressTail:
             return IterationLine(**row, best=BestPoint(**best) if known else None)
         except (ValueError, TypeError, KeyError, AttributeError):  # no line of such a file
             return None
-
-
-LEAST_PACE = 1.0
-"""Seconds of an iteration: nobody waits for a shorter one."""
-
-
-def search_title(search: str) -> str:
-    """Return what a person reads of a search, by its name in the log."""
-    return SEARCH_TITLES.get(search) or stage_title(search)
-
-
-def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
-    """Return what a run does now, and how many of the searches begun together have ended."""
-    title = search_title(search)
-    parts = [f"{phase}: {title}" if phase else title]
-    if searches > 1:
-        parts.append(f"{ended} of {searches} done")
-    return ", ".join(parts)
-
-
-def pace_of(seconds: float) -> str:
-    """Return how long an iteration takes, where it is long enough to be of interest."""
-    if not seconds >= LEAST_PACE:
-        return ""
-    return f"an iteration takes about {_seconds(seconds)}"
-
-
-def left_of_step(phase: str, seconds: float, *, at_most: bool) -> str:
-    """Return the time left of what is done now; that of a whole recipe depends on what is found.
-
-    Nothing for what is no recipe of phases, where nobody knows. `at_most` says whether it is a
-    limit, or what is to be expected.
-    """
-    if math.isnan(seconds):
-        return "time left unknown" if phase else ""
-    return f"this step: {'at most ' if at_most else ''}about {_seconds(seconds)} left"
-
-
-def _seconds(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

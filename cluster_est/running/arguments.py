@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from os import PathLike
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -88,11 +88,24 @@ def _named_resources(given: Any) -> Any:
         return Resources() if given is None else Resources(given)
     if not isinstance(given, Mapping):
         return given
-    known = [each.name for each in fields(Resources)]
+    keys = dict(given)
+    if isinstance(keys.get("budget"), Mapping):
+        keys["budget"] = Budget.of(keys["budget"])
+    if isinstance(keys.get("limits"), Mapping):
+        keys["limits"] = _of_keys(Limits, keys["limits"], "executor.limits")
+    return _of_keys(Resources, keys, "executor")
+
+
+Keyed = TypeVar("Keyed", Resources, Limits)
+
+
+def _of_keys(kind: type[Keyed], given: Mapping[str, Any], where: str) -> Keyed:
+    """Return a dataclass of its fields by name."""
+    known = [each.name for each in fields(kind)]
     for key in given:
         if key not in known:
-            raise ProblemError(f"executor: there is no key {key!r}{nearest(str(key), known)}")
-    return Resources(**given)
+            raise ProblemError(f"{where}: there is no key {key!r}{nearest(str(key), known)}")
+    return kind(**given)
 
 
 def method_of(method: Method | str) -> Method:

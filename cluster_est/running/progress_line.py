@@ -1,4 +1,4 @@
-"""A line of progress for runs that were begun from Python, in a terminal or a notebook."""
+"""The line of progress of a run, in words, and where it is shown: a terminal or a notebook."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from cluster_est.errors import ProblemError
-from cluster_est.running.heartbeat import beating
+from cluster_est.running.heartbeat import STARTING, beating
 from cluster_est.running.interrupts import interrupt
-from cluster_est.running.resources import Note, RunSnapshot, SearchIteration, Show
+from cluster_est.running.resources import Budget, Note, RunSnapshot, SearchIteration, Show
 from workers.messages.checks import shown
 
-LEAST_REDRAW_SECONDS = 0.2
+if TYPE_CHECKING:
+    from rich.console import Console
+
+SECONDS_BETWEEN_REDRAWS = 0.1
 
 SEARCH_TITLES = {
     "models": "fitting",
@@ -30,15 +33,30 @@ SEARCH_TITLES = {
     "directions": "finding the intervals",
     "test": "fitting the test records",
     "after": "simulating at the estimates",
+    "weights": "weighting the outputs",
+    "base": "fitting the declared model",
+    "leave one out": "predicting experiments that were left out",
+    "course": "screening the candidates",
+    "tests": "testing the candidates",
+    "probe": "screening the candidates",
+    "trial": "trying candidates",
+    "candidate": "refitting candidates",
+    "enlarged": "simulating with larger inputs",
+    "return": "fitting the declared model again",
+    "other starts": "refitting from other starts",
+    "swap": "revising the effects",
+    "drop": "revising the effects",
+    "final": "the final fits",
+    "process noise": "fitting the process noise",
 }
-"""Texts for people, by the names of the searches of a fit or a sensitivity analysis in the log."""
+"""Texts for people, by the names of the searches of all studies in the log."""
 
 Callback = Callable[[SearchIteration], Any]
 """Called with each iteration of each search; StopIteration ends the run with what it has found."""
 
 
-class _Line(Protocol):
-    """A line that is renewed in place."""
+class Place(Protocol):
+    """Where a line is shown."""
 
     def put(self, text: str) -> None:
         """Show a text in the place of the last one."""
@@ -47,24 +65,27 @@ class _Line(Protocol):
         """Leave nothing behind."""
 
 
-class _TerminalLine:
-    def __init__(self) -> None:
-        from rich.console import Console
+class TerminalPlace:
+    """A line of a terminal that is renewed in place; cut where it would begin a second one."""
+
+    def __init__(self, console: Console) -> None:
         from rich.live import Live
 
-        self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=True)
+        self._live = Live(console=console, auto_refresh=False, transient=True)
         self._live.start()
 
     def put(self, text: str) -> None:
+        """Show a text in the place of the last one."""
         from rich.text import Text
 
         self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
     def close(self) -> None:
+        """Take the line away."""
         self._live.stop()
 
 
-class _NotebookLine:
+class _NotebookPlace:
     def __init__(self) -> None:
         from IPython.display import display  # there is no notebook without it
 
@@ -77,29 +98,59 @@ class _NotebookLine:
         self.put("")
 
 
-def _new_line() -> _Line | None:
-    """Return a line where somebody looks; None for a script whose errors go to a file."""
+def _place() -> Place | None:
+    """Return a place where somebody looks; None for a script whose errors go to a file."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None and hasattr(shell, "kernel"):
-        return _NotebookLine()
+        return _NotebookPlace()
     if sys.stderr is not None and sys.stderr.isatty():
-        return _TerminalLine()
+        from rich.console import Console
+
+        return TerminalPlace(Console(stderr=True))
     return None
 
 
 @contextmanager
-def progress_of(given: Show | bool | None) -> Iterator[Show | None]:
-    """Give what shows a run, as `progress` of `fit` says.
+def shown_at(place: Place, budget: Budget) -> Iterator[Show]:
+    """Give what shows the state of a run at a place, at most ten times a second.
+
+    Parameters
+    ----------
+    place
+        Closed at the end.
+    budget
+        What the time left is counted from.
+    """
+    last = -math.inf
+
+    def show(snapshot: RunSnapshot) -> None:
+        nonlocal last
+        if time.monotonic() - last >= SECONDS_BETWEEN_REDRAWS:
+            place.put(line_of(snapshot, budget))
+            last = time.monotonic()
+
+    try:
+        place.put(STARTING)
+        yield show
+    finally:
+        place.close()
+
+
+@contextmanager
+def progress_of(given: Show | bool | None, budget: Budget) -> Iterator[Show | None]:
+    """Give what shows a run that was begun from Python, as `progress` of `fit` says.
 
     Parameters
     ----------
     given
         None or True for a line in a terminal or a notebook, False for nothing, or a function.
+    budget
+        What the time left is counted from.
 
     Raises
     ------
     ProblemError
-        If it is something else.
+        If `given` is something else.
     """
     if callable(given):
         yield given
@@ -108,44 +159,85 @@ def progress_of(given: Show | bool | None) -> Iterator[Show | None]:
         raise ProblemError(
             f"progress: must be true, false or a function of a snapshot but is {shown(given)}"
         )
-    line = None if given is False else _new_line()
-    if line is None:
+    place = None if given is False else _place()
+    if place is None:
         yield None
         return
-    last = -math.inf
-
-    def show(snapshot: RunSnapshot) -> None:
-        nonlocal last
-        if time.monotonic() - last >= LEAST_REDRAW_SECONDS:
-            line.put(line_of(snapshot))
-            last = time.monotonic()
-
-    try:
-        with beating(show) as forward:
-            yield forward
-    finally:
-        line.close()
+    with shown_at(place, budget) as show, beating(show) as forward:
+        yield forward
 
 
-def line_of(snapshot: RunSnapshot) -> str:
-    """Return a snapshot as one line of text."""
-    now = snapshot.phase or SEARCH_TITLES.get(snapshot.search, snapshot.search)
-    progress = snapshot.progress
-    if snapshot.searches > 1:
-        now = f"{now}, {snapshot.ended} of {snapshot.searches} done"
-    elif progress.iteration:
-        now = f"{now}, iteration {progress.iteration}"
-    known = snapshot.searches == 1 and not math.isnan(progress.cost)
+def line_of(snapshot: RunSnapshot, budget: Budget) -> str:
+    """Return a snapshot as one line of text, with the time that is left of a budget."""
+    progress, failed = snapshot.progress, snapshot.failures
+    rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
+    done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
     parts = [
-        now,
-        f"cost {progress.cost:.6g}" if known else "",
-        "" if math.isnan(snapshot.left) else f"about {snapshot.left:.0f} s left",
-        f"{snapshot.simulations} simulations",
-        f"{snapshot.failures} failed" if snapshot.failures else "",
-        f"{snapshot.busy} of {snapshot.workers} workers busy",
+        f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
+        left_of_step(snapshot.phase, snapshot.left, at_most=snapshot.at_most),
+        pace_of(snapshot.pace),
+        "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
+        f"{failed} simulation{'s' if failed > 1 else ''} failed" if failed else "",
+        f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
+        f"{snapshot.busy}/{snapshot.workers} workers busy",
         f"{snapshot.seconds:.0f} s",
+        _left_of_budget(snapshot, budget, rate),
     ]
     return " | ".join(part for part in parts if part)
+
+
+def _left_of_budget(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
+    """Time left of the budget of a recipe of many steps; that of a single one is said already."""
+    if not snapshot.phase and not math.isnan(snapshot.left):
+        return ""
+    limits = []
+    if budget.seconds is not None:
+        limits.append(budget.seconds - snapshot.seconds)
+    if budget.evaluations is not None and rate > 0.0:
+        limits.append((budget.evaluations - snapshot.evaluations) / rate)
+    return f"at most {max(0.0, min(limits)):.0f} s left" if limits else ""
+
+
+LEAST_PACE = 1.0
+"""Seconds of an iteration: nobody waits for a shorter one."""
+
+
+def search_title(search: str) -> str:
+    """Return what a person reads of a search, by its name in the log."""
+    return SEARCH_TITLES.get(search, search)
+
+
+def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
+    """Return what a run does now, and how many of the searches begun together have ended."""
+    title = search_title(search)
+    parts = [f"{phase}: {title}" if phase else title]
+    if searches > 1:
+        parts.append(f"{ended} of {searches} done")
+    return ", ".join(parts)
+
+
+def pace_of(seconds: float) -> str:
+    """Return how long an iteration takes, where it is long enough to be of interest."""
+    if not seconds >= LEAST_PACE:
+        return ""
+    return f"an iteration takes about {_seconds(seconds)}"
+
+
+def left_of_step(phase: str, seconds: float, *, at_most: bool) -> str:
+    """Return the time left of what is done now; that of a whole recipe depends on what is found.
+
+    Nothing for what is no recipe of phases, where nobody knows. `at_most` says whether it is a
+    limit, or what is to be expected.
+    """
+    if math.isnan(seconds):
+        return "time left unknown" if phase else ""
+    return f"this step: {'at most ' if at_most else ''}about {_seconds(seconds)} left"
+
+
+def _seconds(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def note_of(callback: Callback | None) -> Note | None:

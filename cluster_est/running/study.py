@@ -78,6 +78,7 @@ def run_study(
     study.check()
     resources = checked_resources(resources)
     note = note_of(callback)
-    with SharedPools() as pools, progress_of(progress) as show:  # a cluster is joined once
+    shown = progress_of(progress, resources.budget)
+    with SharedPools() as pools, shown as show:  # a cluster is joined once
         environment = RunEnvironment(resources, Monitor(record, show, note), source=pools)
         return study.run(environment)

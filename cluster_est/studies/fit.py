@@ -26,6 +26,7 @@ from cluster_est.results.record_faults.find import faults_of_fit
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import measure_solver_error
+from cluster_est.results.states import with_states
 from cluster_est.running.arguments import (
     check_method,
     check_problem,
@@ -141,6 +142,7 @@ class Fit(Study[Result]):
         begin = time.monotonic()
         known = with_carried_states(environment, self.problem)
         result = replace(self, problem=known)._run(environment)
+        result = with_states(result, environment.resources)
         return replace(result, seconds=time.monotonic() - begin)
 
     def _run(self, environment: RunEnvironment) -> Result:

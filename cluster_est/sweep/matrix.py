@@ -23,6 +23,8 @@ from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.run_folder.resume import is_whole
 from cluster_est.run_folder.run_files import (
+    SWEEP_HISTORY_FILE,
+    SWEEP_STATE_FILE,
     SWEEP_SUMMARY_FILE,
     RunStatus,
     read_config_text,
@@ -34,6 +36,7 @@ from cluster_est.run_folder.run_folder import BEGUN
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind, versions
 from cluster_est.settings import ConfigSection, checked
 from cluster_est.studies.configured import STUDIES
+from cluster_est.sweep.history import GO_ON, with_all_columns
 from cluster_est.toml import inline
 from cluster_est.whole_files import write_whole
 from workers.fmu.description import nearest
@@ -297,7 +300,7 @@ def _wrong_runs(runs: list[SweepRun]) -> Iterator[str]:
     for run in runs:
         if len(run.name) > LONGEST_RUN_NAME:
             yield f"{run.name}: the name of a run must have at most {LONGEST_RUN_NAME} characters"
-        if run.name in ("sweep.json", "summary.parquet"):
+        if run.name in (SWEEP_STATE_FILE, SWEEP_SUMMARY_FILE, SWEEP_HISTORY_FILE):
             yield f"runs.{run.name}: the name is taken by a file of the sweep; give another one"
         other = seen.get(run.name.lower())  # some file systems ignore case
         if other is not None:
@@ -319,11 +322,9 @@ def _subset(config: Config, key: str, ids: list[str]) -> Config:
     return config.model_copy(update={"experiments": kept})
 
 
-STATE = "sweep.json"
 SUCCESS = RunStatus.DONE
 FAILED_STATES = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
 NOT_RUN = "not run"
-GO_ON = "check that there is space and that it can be written, and repeat the command"
 
 
 @dataclass(frozen=True)
@@ -409,7 +410,7 @@ def check_folder(out: Path) -> None:
     """
     if out.exists() and not out.is_dir():
         raise RunFolderError(f"{out}: must be a folder but is a file; choose another --out")
-    if not out.is_dir() or (out / STATE).is_file():
+    if not out.is_dir() or (out / SWEEP_STATE_FILE).is_file():
         return
     if any(not each.name.startswith(".sweep.") for each in out.iterdir()):
         raise RunFolderError(
@@ -421,7 +422,7 @@ def write_state(out: Path, sweep: Path, states: dict[str, str], *, running: str 
     """Write sweep.json: where each run stands, for people and monitors."""
     facts = {"format": "1", "sweep": str(sweep), "running": running, "runs": states}
     text = json.dumps(facts, indent=2) + "\n"
-    write_whole(out / STATE, text.encode(), GO_ON)
+    write_whole(out / SWEEP_STATE_FILE, text.encode(), GO_ON)
 
 
 def summary_rows(
@@ -429,9 +430,9 @@ def summary_rows(
 ) -> list[dict[str, Any]]:
     """One row for each run, in the sweep's order: choices, outcome and shared estimates."""
     axes = dict.fromkeys(axis for planned in plan for axis in planned.run.choices)
-    rows = [_row(out, planned.run, states[planned.run.name], [*axes]) for planned in plan]
-    labels = dict.fromkeys(key for row in rows for key in row)
-    return [{label: row.get(label) for label in labels} for row in rows]
+    return with_all_columns(
+        [_row(out, planned.run, states[planned.run.name], [*axes]) for planned in plan]
+    )
 
 
 def write_summary(out: Path, rows: list[dict[str, Any]]) -> None:

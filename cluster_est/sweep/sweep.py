@@ -24,6 +24,7 @@ from cluster_est.run_folder.run_files import RunStatus, RunWorth, read_facts, ru
 from cluster_est.run_folder.run_identity import RunIdentity
 from cluster_est.running.environment import SharedPools, pool_key
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
+from cluster_est.sweep.history import add_to_history
 from cluster_est.sweep.matrix import (
     FAILED_STATES,
     NOT_RUN,
@@ -157,7 +158,7 @@ def sweep(
     path
         The sweep file.
     out
-        Holds a run folder for each run, summary.parquet and sweep.json.
+        Holds a run folder for each run, summary.parquet, history.parquet and sweep.json.
     tell
         Called with a line for each run that ended.
     listener
@@ -208,6 +209,7 @@ def sweep(
             write_state(out, path, states)
             rows = summary_rows(out, plan, states)
             write_summary(out, rows)
+            add_to_history(out, rows)
     return SweepResult(rows, ran, interrupted=ran < len(todo))
 
 

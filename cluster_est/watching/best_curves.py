@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluster_est.config.build import build_problem
@@ -23,6 +22,7 @@ from cluster_est.config.reader import read_config
 from cluster_est.errors import ClusterEstError, RunFolderError
 from cluster_est.html_report.curve_section import extremes
 from cluster_est.html_report.number_text import duration
+from cluster_est.html_report.recorded_curves import OutputCurves, recorded_curves
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import compared_values, measured_values
@@ -46,7 +46,7 @@ NOT_YET = (
 
 @dataclass(frozen=True)
 class OutputCurve:
-    """One output of one experiment, at measured times, and finer where that is known.
+    """What is seen of one output, at measured times, and simulated at finer ones where known.
 
     `before` is empty where it is not known.
     """
@@ -168,12 +168,10 @@ class CurveSource:
         experiment = wanted if wanted in names else names[0]
         finer = self._path / "trajectories.parquet"
         fine = read_run_columns(finer) if finer.is_file() else None
-        own = table.filter(pc.equal(table["experiment"], experiment))
-        outputs = pc.unique(own["output"]).to_pylist()
-        curves = [_stored_curve(own, fine, experiment, output) for output in outputs]
+        found = recorded_curves({"residuals": table, "trajectories": fine}, experiment)
         ended = "At the estimates of this run." if is_ended(facts) else "As found so far."
         before = "the declared model, fitted" if facts.get("verdict") is not None else "the start"
-        kept = tuple(_thinned(c) for c in curves if np.isfinite(c.time).any())
+        kept = tuple(_thinned(name, c) for (_, name), c in found.items() if c.has_times)
         return ExperimentCurves(names, experiment, kept, f"{ended} Before: {before}.")
 
 
@@ -223,57 +221,34 @@ class _BestSimulator:
         if not outcome.ok:
             said = f"This experiment cannot be simulated at the best point: {outcome.message}"
             return ExperimentCurves(names, experiment.id, (), said)
-        curves = [_curve_at(o, outcome) for o in experiment.outputs if len(o.times)]
+        curves = tuple(
+            _thinned(o.variable, _curve_at(o, outcome)) for o in experiment.outputs if len(o.times)
+        )
         said = "Simulated for this page, at the best point so far."
-        return ExperimentCurves(names, experiment.id, tuple(_thinned(c) for c in curves), said)
+        return ExperimentCurves(names, experiment.id, curves, said)
 
     def close(self) -> None:
         """End the process."""
         self._guard.close()
 
 
-def _curve_at(output: Output, outcome: Outcome) -> OutputCurve:
+def _curve_at(output: Output, outcome: Outcome) -> OutputCurves:
     """Return one output as it was simulated, at the measured times."""
     found = compared_values(output, outcome)
-    after = np.full(len(output.times), np.nan) if found is None else found
+    unknown = np.full(len(output.times), np.nan)
+    after = unknown if found is None else found
     measured = measured_values(output, outcome)
-    return OutputCurve(output.variable, output.times, measured, output.times, after, np.zeros(0))
+    return OutputCurves("", output.times, measured, after, unknown, unknown)
 
 
-def _stored_curve(
-    own: pa.Table, finer: pa.Table | None, experiment: str, output: str
-) -> OutputCurve:
-    """Return one output of the tables of a run."""
-    part = own.filter(pc.equal(own["output"], output))
-    time, measured, after, before = (
-        _column(part, name) for name in ("time", "measured", "simulated", "simulated_before")
-    )
-    if finer is not None and finer.num_rows:
-        both = pc.and_(pc.equal(finer["experiment"], experiment), pc.equal(finer["output"], output))
-        rows = finer.filter(both)
-        if rows.num_rows > len(time):
-            fine, after, before = (
-                _column(rows, name) for name in ("time", "simulated", "simulated_before")
-            )
-            return OutputCurve(output, time, measured, fine, after, before)
-    return OutputCurve(output, time, measured, time, after, before)
-
-
-def _column(table: pa.Table, name: str) -> FloatArray:
-    """Return a column with NaN for what is not there; nothing where the table has none."""
-    if name not in table.column_names:
-        return np.zeros(0)
-    return np.asarray(pc.cast(table[name], pa.float64()).to_numpy(), np.float64)
-
-
-def _thinned(curve: OutputCurve) -> OutputCurve:
+def _thinned(name: str, curves: OutputCurves) -> OutputCurve:
     """Keep of each curve what is seen of it."""
-    kept = extremes(curve.time, curve.measured, CURVE_COLUMNS)
-    pairs = [y for y in (curve.after, curve.before) if len(y)]
-    parts = [extremes(curve.fine, y, CURVE_COLUMNS) for y in pairs]
-    fine = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.int64)
-    before = curve.before[fine] if len(curve.before) else curve.before
+    kept = extremes(curves.time, curves.measured, CURVE_COLUMNS)
+    fine, after, before = curves.fine or (curves.time, curves.after, curves.before)
+    pairs = [y for y in (after, before) if np.isfinite(y).any()]
+    parts = [extremes(fine, y, CURVE_COLUMNS) for y in pairs]
+    seen = np.unique(np.concatenate([np.zeros(0, np.int64), *parts]))
+    known = before[seen] if np.isfinite(before).any() else np.zeros(0)
     return OutputCurve(
-        curve.name, curve.time[kept], curve.measured[kept], curve.fine[fine], curve.after[fine],
-        before,
-    )  # fmt: skip
+        name, curves.time[kept], curves.measured[kept], fine[seen], after[seen], known
+    )

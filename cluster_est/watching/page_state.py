@@ -22,9 +22,8 @@ from cluster_est.run_folder.run_files import (
     read_facts,
     read_run_table,
 )
-from cluster_est.run_folder.run_progress import (
-    PROGRESS,
-    ProgressTail,
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
+from cluster_est.running.progress_line import (
     left_of_step,
     pace_of,
     search_title,

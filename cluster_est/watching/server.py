@@ -75,8 +75,7 @@ class LivePage:
             self._server = _Server((LOOPBACK, port), self._pages, token)
         except OSError as error:
             raise RunFolderError(
-                f"--port: {port} cannot be listened at ({error.strerror}); choose another, or "
-                "leave it out"
+                f"--port: {port} cannot be used ({error.strerror}); choose another, or leave it out"
             ) from error
         self.host, self.port = self._server.server_address[:2]
         self.address = f"http://{LOOPBACK}:{self.port}/?token={token}"

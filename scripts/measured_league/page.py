@@ -155,7 +155,10 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
     ended = [each for each in found if each.loop and each.base and each.textbook]
     questions: tuple[tuple[str, Callable[[CaseFigures], bool]], ...] = (
         (f"held-out error at most {NEAR_TEXTBOOK} times the textbook's", near_textbook),
-        ("the effect of the textbook named, or an alias", lambda each: named(each, known)),
+        (
+            "the effect of the textbook was named, or an alias of it",
+            lambda each: named(each, known),
+        ),
         ("held-out error made worse", made_worse),
         (f"more than {NEAR_NOISE} times the noise left, and the verdict reports it", says_so),
         (f"more than {NEAR_NOISE} times the noise left, but the verdict is `found`", overclaims),

@@ -219,7 +219,7 @@ def _ordered(
     low: float | None, high: float | None, name: str, notes: ReadingNotes
 ) -> tuple[float | None, float | None]:
     if low is not None and high is not None and low > high:
-        notes.add("a min that is above the max is ignored, like that max", name)
+        notes.add("min and max are ignored where min is above max", name)
         return None, None
     return low, high
 

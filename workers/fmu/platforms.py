@@ -66,4 +66,4 @@ def missing_binary(
             f"{must} has only sources; compile them, for example with the command `fmpy compile`, "
             "or export it with binaries"
         )
-    return f"{must} has one for no platform at all; export it for {wanted}"
+    return f"{must} has none for any platform; export it for {wanted}"

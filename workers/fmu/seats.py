@@ -80,8 +80,8 @@ def program_seats(count: int) -> Seats:
     left = tuple(number for number in range(count) if (program, number) not in _lost)
     if not left:
         raise ModelError(
-            f"executor.instances: allows {count} at once, but as many had a fatal error in this "
-            "process, after which they may not be freed; end the program and start it again"
+            f"executor.instances: {count} are allowed at once, and all of them had a fatal error "
+            "in this process; they cannot be freed, so end the program and start it again"
         )
     return Seats(program, left)
 

@@ -136,8 +136,7 @@ def measure_solver_error(
     problem = space.problem
     if problem.model.solver.name not in ("fmu", "rk4"):
         return None
-    every = -(-len(space.experiments) // MOST_EXPERIMENTS)
-    positions = list(range(0, len(space.experiments), every))
+    positions = positions_of_few(len(space.experiments))
     runs = tuple(problem.experiments[space.experiments[p]] for p in positions)
     scale = solver_scale(problem.model, problem.describe(), runs)
     if scale.why_not or scale.fixed or not scale.step:
@@ -156,6 +155,11 @@ def measure_solver_error(
         for name in dict.fromkeys(output.variable for run in runs for output in run.outputs)
     ]
     return SolverError(scale, len(runs), tuple(each for each in found if each is not None))
+
+
+def positions_of_few(experiments: int) -> list[int]:
+    """Return which of some experiments are simulated once more: all, or every n-th."""
+    return list(range(0, experiments, max(1, -(-experiments // MOST_EXPERIMENTS))))
 
 
 def simulate_with_solver(

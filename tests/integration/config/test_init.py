@@ -230,7 +230,7 @@ def test_an_input_that_jumps_keeps_each_sample(written, tmp_path):
     text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=STEP, y=STEP))
     assert tree["experiments"][0]["inputs"]["F"] == {"column": "F", "interpolation": "hold"}
     assert tree["experiments"][0]["outputs"]["y"] == "y"
-    assert 'it jumps; "linear" if it does not' in text
+    assert 'it jumps; a fit says so if the data prefer "linear"' in text
     text, _, said = written(
         table(tmp_path / "b.csv", time=TIMES, force=STEP, position=FORCE), out="second.toml"
     )

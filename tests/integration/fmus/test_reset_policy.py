@@ -36,7 +36,7 @@ KINDS, EXECUTOR_PAIRS = (
         ("executor", ("local", "processes")),
     )
 )
-DIED = "an FMU that runs in it has crashed or ended it"
+DIED = "An FMU that runs in it has crashed or ended it"
 
 
 @pytest.fixture

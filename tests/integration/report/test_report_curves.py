@@ -1,15 +1,19 @@
 import base64
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scipy.integrate import solve_ivp
 from support.drawn import DrawnFigure, Figures
+from support.problems.springs import spring_problem
 from support.reported import Page
 
+from cluster_est import Output, Solver, fit, save
 from cluster_est.html_report.number_text import digits
 from cluster_est.html_report.page import write_report
 
@@ -235,3 +239,32 @@ def test_of_more_samples_than_a_page_may_hold_it_says_where_they_are(copied):
     text = Page(path).text
     assert f"Zooming in shows every sample in {len(held)} of 20 of the long records" in text
     assert "residuals.parquet in the run's folder has them all" in text
+
+
+@pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])
+def test_residuals_are_drawn_over_a_state_that_nobody_has_measured(tmp_path, interface):
+    solver = Solver("fmu", step=0.01) if interface == "co_simulation" else None
+    problem = spring_problem(2, local=(), interface=interface, solver=solver).problem
+    times = problem.experiments[0].outputs[0].times
+
+    def hardening(t, y, force):  # the model's spring is linear
+        pull = np.interp(t, times, force)
+        return y[1], (pull - 30.0 * y[0] - 4000.0 * y[0] ** 3 - 0.6 * y[1]) / 1.2
+
+    runs = []
+    for each in problem.experiments:
+        found = solve_ivp(hardening, (0.0, times[-1]), (0.0, 0.0), "LSODA", times,
+                          args=(each.inputs[0].values,), rtol=1e-8, atol=1e-10)  # fmt: skip
+        runs.append(replace(each, outputs=(Output("v", times, found.y[1]),)))
+    known = tuple(p for p in problem.parameters if p.name != "x0")
+    model = replace(problem.model, parameters=tuple(p.target for p in known))
+    result = fit(replace(problem, model=model, parameters=known, experiments=tuple(runs)))
+    states = result.table("states").to_pandas()
+    rows = states[states.experiment == "e0"].pivot(index="time", columns="state", values="value")
+    simulated = result.table("residuals").to_pandas().query("experiment == 'e0'").simulated
+    assert rows["v"].to_numpy() == pytest.approx(simulated.to_numpy(), abs=1e-9)
+    moved = np.cumsum(0.5 * np.diff(rows.index) * (rows["v"].to_numpy()[1:] + rows["v"][:-1]))
+    assert np.abs(rows["x"].to_numpy()[1:] - moved).max() < 0.02 * np.ptp(rows["x"])
+    page = Page(write_report(save(result, tmp_path / "run")))
+    assert "Over state x" in page.text
+    assert "Over state v" not in page.text  # it is the output

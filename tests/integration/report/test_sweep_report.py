@@ -1,3 +1,4 @@
+import re
 from urllib.parse import unquote
 
 import pyarrow as pa
@@ -131,12 +132,12 @@ one = {{ drop_experiments = ["run1"] }}
 """
 
 
-def swept(folder, study, overrides=""):
+def swept(folder, study, overrides="", out="results", **options):
     """A sweep of the springs with friction, with all of them and without one."""
-    write_config(folder)
+    write_config(folder, **options)
     (folder / "sweep.toml").write_text(SWEEP.format(study=study, overrides=overrides))
-    assert main(["sweep", str(folder / "sweep.toml"), "--out", str(folder / "results")]) in (0, 1)
-    return folder / "results"
+    assert main(["sweep", str(folder / "sweep.toml"), "--out", str(folder / out)]) in (0, 1)
+    return folder / out
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +188,26 @@ def test_small_differences_look_small(tmp_path):
         (plot,) = figures.by_id(name).plots
         low, high = map(float, plot.x.split())
         assert high - low >= least
+
+
+def test_a_sweep_that_is_called_again_shows_what_has_changed_since(tmp_path):
+    """The same files twice are one time; other data are a second one, in this folder or another."""
+    for _ in range(2):
+        folder = swept(tmp_path, "fit", out="monday")
+    assert "History" not in Page(page_of(folder)).text
+    swept(tmp_path, "fit", out="monday", friction=0.05)
+    times = pq.read_table(folder / "history.parquet").to_pandas()
+    assert [*times.run] == ["config-all", "config-one"] * 2
+    page = page_of(folder)
+    before, now = times.rmse_test[times.run == "config-one"]
+    assert now < 0.5 * before
+    told = re.search(r"config-one 2 \S+ data \S+ → \S+ (\S+) → (\S+)", Page(page).text)
+    assert told
+    assert [*map(float, told.groups())] == pytest.approx([before, now], rel=0.01)
+    (plot,) = Figures(page).by_id("history-0").plots  # what changed most
+    assert sorted(plot.curve("held out")[1]) == pytest.approx(sorted([before, now]), rel=1e-2)
+    page = page_of(swept(tmp_path, "fit", out="tuesday", friction=0.05))
+    assert "config-all 3" in Page(page).text
 
 
 @pytest.mark.slow

@@ -329,7 +329,7 @@ def test_watch_refuses_what_it_cannot_show(ended, tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert main(["watch", str(ended), "--browser", "--port", port]) == 2
-    assert f"--port: {port} cannot be listened at" in capsys.readouterr().err
+    assert f"--port: {port} cannot be used" in capsys.readouterr().err
 
 
 ENDLESS = ["method.name=pso", "method.options.max_generations=100000", "method.options.ftol=0.0"]

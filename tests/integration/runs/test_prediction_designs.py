@@ -157,7 +157,7 @@ def test_the_command_says_what_becomes_certain(folder, capsys):
     assert "the standard deviation of y in exp4 is expected to fall to" in printed
     assert "predicted of unit std deviation now after it after a random input" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
-    assert "Expected effect of the experiment on predictions" in page
+    assert "Expected uncertainty of the predictions" in page
     (row,) = rows(folder / "next", "prediction_precision")
     assert (row["experiment"], row["output"]) == ("exp4", "y")
     assert row["std_error_after"] < row["random"] < row["std_error_before"]

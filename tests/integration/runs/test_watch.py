@@ -14,11 +14,11 @@ from support.reported import fitted_run
 from support.run_folders import change_facts
 
 from cluster_est.cli import main
-from cluster_est.cli.terminal import line
 from cluster_est.cli.watch_command import WatchTable, follow, rendered
 from cluster_est.methods.method import Progress
 from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.running.progress_line import line_of
 from cluster_est.running.resources import Budget, RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.studies.fit import fit
 from cluster_est.watching.follower import RunFollower, RunView
@@ -200,4 +200,4 @@ def test_a_watcher_reads_what_the_terminal_of_the_run_says(begun):
         "this step: at most about 2 min left"
     )
     assert said in text_of(RunFollower(begun.path).look())
-    assert said in line(AT_MOST, Budget())
+    assert said in line_of(AT_MOST, Budget())

@@ -107,6 +107,8 @@ REFUSED = [
     (ce.fit, {"method": 3}, "method: must be a Method.*3; give a method or its name"),
     (ce.fit, {"resources": "rays"}, "executor.name: there is no 'rays'.*'ray'"),
     (ce.fit, {"resources": 3}, "resources: must be a Resources.*3.*such as .processes."),
+    (ce.fit, {"resources": {"limits": {"stalls": 1}}}, "executor.limits: .*'stalls'.*'stall'"),
+    (ce.fit, {"resources": {"budget": {"second": 1}}}, "budget.second.*did you mean 'seconds'"),
     (ce.fit, {"seed": -1}, "method.seed: must be at least 0.*-1"),
     (ce.fit, {"seed": 0.5}, "method.seed: must be a whole number.*0.5"),
     (ce.fit, {"multistart": "five"}, "multistart.n: must be a whole number.*'five'"),

@@ -1,3 +1,4 @@
+import inspect
 import json
 import re
 from dataclasses import replace
@@ -17,9 +18,10 @@ from workers.fmu.description import describe
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 NAMES = """
-    Budget CauchyCost ClusterEstError Effect Experiment HuberCost Input LeastSquares Limits
-    LogNormalPrior LoopResult LoopSettings Model Multistart NormalPrior Output Parameter Problem
-    Resources Result Shooting SoftL1 Solver UncertaintySettings add_effect analyse_sensitivity
+    Budget CauchyCost ClusterEstError DesignSettings Effect Experiment ExperimentLimits HuberCost
+    Input LeastSquares Limits LogNormalPrior LoopResult LoopSettings Model Multistart NormalPrior
+    Output Parameter Problem Reading Resources Result SensitivitySettings Shooting SoftL1 Solver
+    ThinningSettings UncertaintySettings add_effect analyse_sensitivity
     build_problem close_loop compare design detect export fit load locate read_config read_model
     read_problem read_table report residuals save simulate
 """
@@ -34,6 +36,22 @@ def test_the_exported_names_are_these():
     assert all(getattr(ce, name).__doc__ for name in ce.__all__)
     with pytest.raises(AttributeError, match="no attribute 'optimise'"):
         _ = ce.optimise
+
+
+SETTINGS = [
+    name for name in ce.__all__ if name.endswith(("Settings", "Limits"))
+] + ["Multistart", "Shooting", "Resources", "Budget", "Reading"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_an_editor_completes_the_keys_of_settings(name):
+    """As far as it reads the source alone, without running it."""
+    jedi = pytest.importorskip("jedi")
+    known = {each for each in inspect.signature(getattr(ce, name)).parameters if each != "values"}
+    line = f"ce.{name}("
+    found = jedi.Script(f"import cluster_est as ce\n{line}").complete(2, len(line))
+    assert known
+    assert {f"{key}=" for key in known} <= {each.name for each in found}
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,4 @@
 import io
-import math
 import subprocess
 import sys
 import threading
@@ -13,10 +12,10 @@ from support.problems.springs import ROOT
 
 from cluster_est.cli import main, terminal
 from cluster_est.cli.answer import PrintedAnswer
-from cluster_est.cli.terminal import ProgressLine, WorkerHint, line
+from cluster_est.cli.terminal import PrintedPlace, WorkerHint
 from cluster_est.methods.method import Progress
 from cluster_est.running.heartbeat import beating
-from cluster_est.running.resources import Budget, RunSnapshot
+from cluster_est.running.resources import RunSnapshot
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -68,74 +67,25 @@ def test_no_command_imports_pandas_and_python_users_lose_nothing(tmp_path):
     assert done.stdout.splitlines()[-1:] == ["as before"], done.stderr
 
 
-def snapshot(cost, failures=0):
-    return RunSnapshot("candidate", Progress(12, cost), 123456, 234567, failures, 16, 16, 4321.0)
-
-
-def test_a_cost_that_is_not_known_yet_is_left_out():
-    assert "nan" not in line(snapshot(math.nan), Budget())
-    assert "cost 2.5" in line(snapshot(2.5), Budget())
-    assert "3 simulations failed" in line(snapshot(2.5, 3), Budget())
-
-
-def test_it_begins_with_a_word_and_stays_one_line_in_a_narrow_terminal():
-    out = io.StringIO()
-    with ProgressLine(Console(file=out, force_terminal=True, width=80), Budget()) as shown:
-        assert "starting" in out.getvalue()
-        shown.show(snapshot(2.5, 3))
-    assert "refitting candidates, iteration 12" in out.getvalue()
-    assert "4321 s" not in out.getvalue()  # cut, where it would have begun a second line
-
-
-def test_the_phase_how_much_is_done_and_the_time_left_are_said():
-    known = replace(
-        snapshot(2.5), phase="looking for effect 2 of at most 3", ended=7, searches=12, left=41.2
-    )
-    text = line(known, Budget())
-    begin = "looking for effect 2 of at most 3: refitting candidates, 7 of 12 done | "
-    assert text.startswith(f"{begin}this step: at most about 41 s left | ")
-    assert line(replace(known, left=math.nan), Budget()).startswith(f"{begin}time left unknown | ")
-    assert "time left" not in line(snapshot(2.5), Budget())  # a fit: nobody expects to be told
-    expected = replace(known, left=41.2, at_most=False)
-    assert line(expected, Budget()).startswith(f"{begin}this step: about 41 s left | ")
-
-
-def test_the_pace_of_a_single_search_is_said_where_somebody_waits_for_it():
-    assert " | an iteration takes about 2 min | " in line(
-        replace(snapshot(2.5), pace=125.0), Budget()
-    )
-    for pace in (0.2, math.nan):
-        assert "an iteration" not in line(replace(snapshot(2.5), pace=pace), Budget())
-
-
-def test_a_budget_is_said_once():
-    budget = Budget(seconds=5000.0)
-    fit = replace(snapshot(2.5), left=600.0)
-    assert line(fit, budget).count("left") == 1
-    assert line(snapshot(2.5), budget).endswith("at most 679 s left")  # before anything has ended
-    recipe = replace(fit, phase="looking for effect 2 of at most 3")
-    assert line(recipe, budget).endswith("at most 679 s left")
-
-
 def test_without_a_terminal_a_line_is_printed_now_and_then():
     out, now = io.StringIO(), [0.0]
-    with ProgressLine(Console(file=out, width=80), Budget(), 1, lambda: now[0]) as shown:
-        for _ in range(2000):
-            now[0] += 1.0
-            shown.show(snapshot(2.5))
-            if now[0] < 30.0:
-                assert out.getvalue() == ""
+    place = PrintedPlace(Console(file=out, width=80), lambda: now[0])
+    for _ in range(2000):
+        now[0] += 1.0
+        place.put("refitting candidates")
+        if now[0] < 30.0:
+            assert out.getvalue() == ""
     lines = out.getvalue().splitlines()
     assert 30 < len(lines) < 55
-    assert all(
-        text.startswith("cluster-est: refitting candidates, iteration 12 |") for text in lines
-    )
+    assert set(lines) == {"cluster-est: refitting candidates"}
 
 
 def test_more_workers_are_proposed_once_where_they_would_help():
     def said(workers, waiting, cores, most=None):
         hint = WorkerHint(cores, most)
-        busy = replace(snapshot(1.0), busy=workers, workers=workers, waiting=waiting)
+        busy = RunSnapshot(
+            "train", Progress(1, 1.0), 9, 9, 0, workers, workers, 0.0, waiting=waiting
+        )
         return [
             text for seconds in range(100) if (text := hint.look(replace(busy, seconds=seconds)))
         ]

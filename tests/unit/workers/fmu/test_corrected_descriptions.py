@@ -41,7 +41,11 @@ def derivatives(*indices: object) -> str:
         (real("a", 1, value='declaredType="T"'), "types that are declared nowhere are", ["a"]),
         (real("a", 1, value='start="1,0"'), "attributes start that are not numbers are", ["a"]),
         (real("a", 1, value='min="1_0"'), "attributes min that are not numbers are ignored", ["a"]),
-        (real("a", 1, value='min="2" max="1"'), "a min that is above the max is ignored", ["a"]),
+        (
+            real("a", 1, value='min="2" max="1"'),
+            "min and max are ignored where min is above max",
+            ["a"],
+        ),
         (real("a", 1, value='nominal="0"'), "a nominal value that is 0 or no number", ["a"]),
         (real("a", 1, value='nominal="INF"'), "a nominal value that is 0 or no number", ["a"]),
         (real("a", 1, value='derivative="7"'), "attributes derivative that name no", ["a"]),

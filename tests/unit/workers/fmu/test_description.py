@@ -138,7 +138,7 @@ def test_both_versions_name_this_machine_in_their_own_words():
 @pytest.mark.parametrize(
     ("files", "sentence"),
     [
-        ((), f"but has one for no platform at all; export it for {PLATFORM}"),
+        ((), f"but has none for any platform; export it for {PLATFORM}"),
         (("binaries/other/m.so",), f"but has one for other; export it for {PLATFORM}"),
         (
             ("binaries/linux32/m.so", "binaries/win32/m.dll"),

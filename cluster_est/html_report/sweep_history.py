@@ -1,0 +1,222 @@
+"""How the runs of a sweep changed from one time to the next: what a nightly sweep is called for."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from cluster_est.html_report.charts import Chart, Dots, ErrorBars, Line, Mark, Plot
+from cluster_est.html_report.number_text import count, digits, percent
+from cluster_est.html_report.page_blocks import (
+    Block,
+    FigureBlock,
+    GridBlock,
+    ReportSection,
+    TableLine,
+    TextBlock,
+    code,
+    table,
+    with_unit,
+)
+from cluster_est.html_report.reported_run import Row
+from cluster_est.html_report.scales import Scale
+from cluster_est.run_folder.run_files import (
+    HISTORY_INPUTS,
+    SWEEP_HISTORY_FILE,
+    SWEEP_STATE_FILE,
+    read_run_table,
+)
+from workers.messages import FloatArray
+
+MOST_FIGURES = 12
+"""Runs whose errors are drawn, and parameters of the best run."""
+MOST_NAMED = 3
+SECONDS = {"days": 86400.0, "hours": 3600.0}
+FEWEST_DAYS = 2.0
+"""Days between the first and the last time from which on an axis has days."""
+HEIGHT = 110
+ROLES = (("rmse_train", "training", "after"), ("rmse_test", "held out", "before"))
+NOTE = (
+    "A run is done again when its config, data, FMU or versions have changed. The table compares "
+    "the last two times. Errors are over sigma, which is 1 where none is given. A parameter has "
+    "moved if its 95 % intervals of the two times do not overlap."
+)
+
+
+@dataclass(frozen=True)
+class RunHistory:
+    """All times that a run of a sweep was done, the first one first: two at least."""
+
+    run: str
+    rows: tuple[Row, ...] = field(repr=False)
+
+    def values(self, column: str) -> FloatArray:
+        """A column over the times; NaN where a time has none."""
+        found = [row.get(column) for row in self.rows]
+        return np.array([math.nan if each is None else each for each in found], np.float64)
+
+    def change(self, column: str) -> float:
+        """By how much a number rose the last time, as a share; NaN where that is not known."""
+        before, now = self.values(column)[-2:]
+        return float(now / before - 1.0) if before else math.nan
+
+    @property
+    def inputs(self) -> str:
+        """What had changed the last time."""
+        before, now = self.rows[-2:]
+        return ", ".join(
+            name for column, name in HISTORY_INPUTS.items() if before.get(column) != now.get(column)
+        )
+
+    def moved(self, label: str) -> bool:
+        """Whether the last two intervals of a parameter have no value in common."""
+        low, high = (self.values(f"{end} {label}")[-2:] for end in ("lower95", "upper95"))
+        return bool(low.max() > high.min())
+
+
+def read_history(folder: Path) -> list[RunHistory]:
+    """Read the history of a sweep, with those of the same sweep in folders beside it.
+
+    Parameters
+    ----------
+    folder
+        Of the sweep. A sweep that is written into a folder with a date each night has its earlier
+        nights beside it.
+
+    Raises
+    ------
+    RunFolderError
+        If a history is damaged.
+    """
+    own = _sweep_file(folder)
+    beside = [each for each in folder.absolute().parent.iterdir() if _sweep_file(each) == own]
+    folders = dict.fromkeys(each.resolve() for each in ([folder, *beside] if own else [folder]))
+    paths = [each / SWEEP_HISTORY_FILE for each in folders]
+    rows = [row for path in paths if path.is_file() for row in read_run_table(path)]
+    known: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: str(row["started"])):
+        known.setdefault(row["run"], []).append(row)
+    return [RunHistory(name, tuple(each)) for name, each in known.items() if len(each) > 1]
+
+
+def _sweep_file(folder: Path) -> str:
+    """The file that a folder's sweep is of; "" if it is no sweep's."""
+    try:
+        return str(json.loads((folder / SWEEP_STATE_FILE).read_bytes())["sweep"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def history(
+    found: Sequence[RunHistory], best: str, units: Mapping[str, str], named: Mapping[str, str]
+) -> ReportSection:
+    """Make the section: the last changes, and errors and the best run's parameters over days.
+
+    Parameters
+    ----------
+    found
+        What `read_history` has read.
+    best
+        The name of the best run.
+    units
+        Of the parameters.
+    named
+        What pictures call each run.
+    """
+    blocks: list[Block] = []
+    if found:
+        names = ("run", "#times", "last", "changed", "#training", "#held out", "moved parameters")
+        blocks = [TextBlock(NOTE), table(names, [_line(each) for each in found])]
+        ranked = sorted(found, key=lambda each: -_largest(each))[:MOST_FIGURES]
+        figures = [_errors(i, e, named.get(e.run, e.run)) for i, e in enumerate(ranked)]
+        blocks.append(GridBlock(tuple(each for each in figures if each is not None)))
+        if len(ranked) < len(found):
+            said = f"Drawn are the {len(ranked)} runs whose errors changed most."
+            blocks.append(TextBlock(said, "faint"))
+    for each in found:
+        if each.run == best:
+            drawn = [_parameter(i, each, label, units) for i, label in enumerate(_labels(each))]
+            blocks += [TextBlock(f"Parameters of {best}", kind="heading")] if drawn else []
+            blocks += [GridBlock(tuple(drawn[:MOST_FIGURES]))] if drawn else []
+    return ReportSection("history", "History", tuple(blocks))
+
+
+def _line(each: RunHistory) -> TableLine:
+    """A run's last time beside the one before."""
+    errors = []
+    for column, *_ in ROLES:
+        before, now = each.values(column)[-2:]
+        known = math.isfinite(before) or math.isfinite(now)
+        errors.append(f"{digits(before, 3)} → {digits(now, 3)}" if known else "")
+    moved = [label for label in _labels(each) if each.moved(label)]
+    changes = [f"{label} {_signed(each.change(f'parameter {label}'))}" for label in moved]
+    more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
+    last = str(each.rows[-1]["started"])[:10]
+    named = ", ".join(changes[:MOST_NAMED]) + more
+    return code(each.run), count(len(each.rows)), last, each.inputs, *errors, named
+
+
+def _signed(share: float) -> str:
+    return f"{'+' if share > 0.0 else ''}{percent(share)}"
+
+
+def _largest(each: RunHistory) -> float:
+    """The largest change of its errors."""
+    changes = [abs(each.change(column)) for column, *_ in ROLES]
+    return max((change for change in changes if math.isfinite(change)), default=0.0)
+
+
+def _labels(each: RunHistory) -> list[str]:
+    """Names of the parameters that it has both of the last times."""
+    found = [name.removeprefix("parameter ") for name in each.rows[-1] if "parameter " in name]
+    return [n for n in found if np.isfinite(each.values(f"parameter {n}")[-2:]).all()]
+
+
+def _since(each: RunHistory) -> tuple[FloatArray, str]:
+    """How long each time was before the last one: negative numbers and 0, and their unit."""
+    began = [datetime.fromisoformat(str(row["started"])).timestamp() for row in each.rows]
+    seconds = np.array(began) - began[-1]
+    unit = "days" if -seconds[0] >= FEWEST_DAYS * SECONDS["days"] else "hours"
+    return seconds / SECONDS[unit], unit
+
+
+def _errors(number: int, each: RunHistory, title: str) -> FigureBlock | None:
+    times, marks = _since(each)[0], list[Mark]()
+    for column, name, ink in ROLES:
+        if np.isfinite(each.values(column)).any():
+            marks += [
+                Line("", ink, times, each.values(column)),
+                Dots(name, ink, times, each.values(column)),
+            ]
+    if not marks:
+        return None
+    known = [each.values(column) for column, *_ in ROLES]
+    up = Scale.around(*known, may_be_log=True)
+    up = up if up.log else Scale.around(*known, np.zeros(1))
+    return _figure(f"history-{number}", each, title, "error over sigma", up, marks)
+
+
+def _parameter(number: int, each: RunHistory, label: str, units: Mapping[str, str]) -> FigureBlock:
+    times, value = _since(each)[0], each.values(f"parameter {label}")
+    low, high = (each.values(f"{end} {label}") for end in ("lower95", "upper95"))
+    marks: list[Mark] = [
+        ErrorBars("", "after", times, low, high),
+        Dots(label, "after", times, value),
+    ]
+    up = Scale.around(value, low, high)
+    named = with_unit(label, units.get(label, ""))
+    return _figure(f"history-of-{number}", each, label, named, up, marks)
+
+
+def _figure(
+    id_: str, each: RunHistory, title: str, label: str, up: Scale, marks: Sequence[Mark]
+) -> FigureBlock:
+    times, unit = _since(each)
+    plot = Plot(title, label, Scale.around(times, np.zeros(1)), up, list(marks), HEIGHT)
+    return FigureBlock(id_, title, Chart((plot,), f"{unit} until the last time", across=4))
