@@ -11,22 +11,31 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
     choice_price,
     competing_models,
+    leading_models,
     resampled_choices,
     with_choices,
     with_probabilities,
 )
 from cluster_est.closed_loop.findings.description import (
     describe_effects,
+    describe_untested,
     error_changes,
     shared_arguments,
     where_left,
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict, pooled_error
+from cluster_est.closed_loop.findings.effects import (
+    ErrorChange,
+    NamedEffect,
+    NoiseChange,
+    Verdict,
+    pooled_error,
+)
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.unexplained import (
     UnexplainedResidual,
@@ -212,7 +221,6 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
-    named = describe_effects(fitter, found, grown, curves)
     unexplained = steps.do(
         "the description of the unexplained residual",
         lambda: _unexplained(fitter, judgement.verdict, kept, found),
@@ -229,12 +237,19 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
+    named = describe_effects(fitter, found, grown, curves)
+    if not named and judgement.verdict is Verdict.UNEXPLAINED:
+        named = _best_tried(fitter, found)
+    if not fitter.predicts:  # the benchmark has hardly any claims under process noise
+        named = with_claims(named, fits.errors, compared, judgement.closed, claimed=keep)
+    said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
+    said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     notes = (*failed, *_nothing_tried(found, scope.sites), *held, *answer.against, *scope.notes)
     return LoopResult(
         verdict=judgement.verdict,
-        message="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
+        message="; ".join(filter(None, said)),
         effects=named if keep else (),
         before=before,
         after=after,
@@ -257,6 +272,13 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         competing=competing,
         process_noise=fits.noise if keep else (),
     )
+
+
+def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ...]:
+    """The effects of the best set that was tried, where the search accepted none."""
+    tried = (fit for fit in leading_models(fitter, found, 2) if fit.added)
+    best = next(tried, None)
+    return () if best is None else describe_untested(fitter, best)
 
 
 def at_bounds(

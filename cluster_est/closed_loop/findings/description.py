@@ -74,6 +74,26 @@ def describe_effects(
     )
 
 
+def describe_untested(fitter: Fitter, fitted: FittedModel) -> tuple[NamedEffect, ...]:
+    """Describe the effects of a model that the search refitted and did not accept."""
+    namer = Namer(fitter.description, dict(fitter.problem.units))
+    made = []
+    for candidate in fitted.added:
+        words = namer.name(candidate, fitted.coefficients(candidate), None).words
+        made.append(
+            NamedEffect(
+                effect=candidate.effect,
+                family=candidate.form.family,
+                equation=candidate.equation,
+                coefficients=(),
+                words=words,
+                sentence=sentence_of(words, candidate, (), None),
+                label=candidate.label,
+            )
+        )
+    return tuple(made)
+
+
 def error_changes(
     fitter: Fitter, found: SelectionResult, before: Result, after: Result
 ) -> tuple[ErrorChange, ...]:
@@ -151,6 +171,7 @@ def _describe(
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
         also=also,
         period=float(period),
+        label=candidate.label,
     )
 
 
