@@ -28,6 +28,7 @@ from cluster_est.closed_loop.findings.description import (
     shared_arguments,
     where_left,
 )
+from cluster_est.closed_loop.findings.doubts import doubted
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
@@ -210,11 +211,10 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     after, kept = (grown, found.current) if keep else (before, found.base)
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
-    held: tuple[str, ...] = ()
     competing: tuple[CompetingModel, ...] = ()
     choices = None
+    judgement, doubts = doubted(judgement, kept.structure, before, after)
     if keep:
-        judgement, held = at_bounds(judgement, kept, after)
         shapes = "the shapes of the effects"
         curves = steps.do(shapes, lambda: effect_curves(fitter, kept, grown), ())
         often = "how often these effects are chosen"
@@ -246,7 +246,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
-    notes = (*failed, *_nothing_tried(found, scope.sites), *held, *answer.against, *scope.notes)
+    notes = (*failed, *_nothing_tried(found, scope.sites), *doubts, *answer.against, *scope.notes)
     return LoopResult(
         verdict=judgement.verdict,
         message="; ".join(filter(None, said)),
@@ -258,7 +258,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
         sites=scope.sites,
-        notes=(*notes, *_notes(fitter, judgement.verdict, kept, before, after)),
+        notes=(*notes, *_notes(fitter, judgement.verdict, kept, after)),
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,
         evaluations=fitter.runner.evaluations,
@@ -279,30 +279,6 @@ def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ..
     tried = (fit for fit in leading_models(fitter, found, 2) if fit.added)
     best = next(tried, None)
     return () if best is None else describe_untested(fitter, best)
-
-
-def at_bounds(
-    judged: ReasonedVerdict, fitted: FittedModel, after: Result
-) -> tuple[ReasonedVerdict, tuple[str, ...]]:
-    """Say which declared parameters stand at a bound: an effect may stand in for what is beyond it.
-
-    Then not all was found, whatever is left.
-    """
-    own = tuple(f"{name}." for name in fitted.structure)
-    held = [
-        f"{each.label} at its {each.at_bound} bound, {each.value:.6g} {each.unit}".rstrip()
-        for each in after.estimates
-        if each.at_bound and not each.label.startswith(own)
-    ]
-    if not held:
-        return judged, ()
-    said = (
-        f"with the effects the fit ends with {' and '.join(held)}: an effect may replace what the "
-        "bound forbids, so widen the bound if it is not a physical one"
-    )
-    if judged.verdict is Verdict.FOUND:
-        judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{judged.reason}; {said}")
-    return judged, (said,)
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
@@ -388,31 +364,16 @@ def _notes(
     fitter: Fitter,
     verdict: Verdict,
     fitted: FittedModel,
-    before: Result,
     after: Result,
 ) -> tuple[str, ...]:
     """Sentences for the reader."""
-    notes = (*_not_converged(before, after), *shared_arguments(fitted.added))
+    notes = shared_arguments(fitted.added)
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun, where_left(fitter, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))
-
-
-def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
-    """Say which of the last fits reached no solution, so that their values are not the best."""
-    fits = {"the declared model": before}
-    if after is not before:
-        fits["the model with the effects"] = after
-    return tuple(
-        f"the last fit of {model} did not converge "
-        f"({str(fit.solution.ending).partition(';')[0]}): its values, intervals and errors are "
-        "those of its last point"
-        for model, fit in fits.items()
-        if not fit.success
-    )
 
 
 def _of_many_rows(count: int) -> LeastSquares:

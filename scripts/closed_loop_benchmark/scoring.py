@@ -239,9 +239,11 @@ def _claims(data: Data, result: LoopResult, *, same: bool) -> list[dict[str, Any
         kind = name in accepted or (
             effect.claim.evidence.free and place and data.scenario.kind == "outside"
         )
-        marks = {"claimed": effect in result.effects, "right": same or kind, "place": same or place}
-        ends = [each.label for each in effect.coefficients if each.at_bound]
-        marks |= {"ends": ends, "converged": result.after.success}
+        marks = {
+            "claimed": effect in result.effects,
+            "right": same or kind,
+            "place": same or place,
+        }
         claims.append({"effect": in_words(name), **marks, **asdict(effect.claim.evidence)})
     return claims
 

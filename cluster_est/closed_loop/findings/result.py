@@ -67,8 +67,8 @@ class LoopResult(ResultView):
     findings
         Every candidate of every step.
     rejected
-        Leads where the verdict is "unexplained": the effects that did not pass, or those of the best
-        set that was tried. `claim` says how often such leads were right.
+        Leads where the verdict is "unexplained": effects that did not pass, or those of the best
+        set tried. `claim` says how often such leads were right.
     noise
         Estimated standard deviation of each output's noise, in the output's unit; empty with
         process noise, where it is the given sigma.
