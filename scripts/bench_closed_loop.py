@@ -6,6 +6,7 @@
     python scripts/bench_closed_loop.py --out hidden.jsonl --kinds "hidden dynamics" --split tune
     python scripts/bench_closed_loop.py --out hidden.jsonl --hidden-table
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
+    python scripts/bench_closed_loop.py --calibrate claims*.jsonl
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
     python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation beam,replace+drop
     python scripts/bench_closed_loop.py --out parts.jsonl --parts-page parts_of_the_search.md
@@ -15,9 +16,10 @@ already are skipped, so a run can be continued. The second samples the cases ten
 noise that is larger by the root of ten. The third runs the cases of one long record. The fourth
 runs the open half of the cases of hidden dynamics (`--split report`: the half that is held back;
 `--kinds "nothing hidden"`: their systems with nothing to find), and the fifth prints their table.
-The sixth writes the tables of all that is there. The seventh lists the cases of both files that
+The sixth writes the tables of all that is there. The seventh fits how sure claims are to those of
+the files, and prints what the package needs of it. The eighth lists the cases of both files that
 were right and are no longer; there must be none, and the exit code is 1 if there is one. The
-eighth is about the parts of the search (moves, gates, and what moves share): on each of the first
+ninth is about the parts of the search (moves, gates, and what moves share): on each of the first
 60 cases that are meant for that it runs the loop as it is, then without the one part, then without
 the other two, and prints what each is good for; `--ablation all` leaves out every part alone. Each
 has a file of its own beside that of `--out`, and can be continued with further parts and cases. The
@@ -42,6 +44,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from closed_loop_benchmark.activity import noted_parts, saved
+from closed_loop_benchmark.claim_calibration import calibration_report, claims_of
 from closed_loop_benchmark.data import Data, Sampling, make, make_problem
 from closed_loop_benchmark.form_subsets import FormSubset, violations
 from closed_loop_benchmark.hidden_dynamics import KINDS as HIDDEN_KINDS
@@ -111,6 +114,10 @@ def main() -> int:
         text, lost = compare_runs(*(read(file) for file in options.compare))
         print(text)
         return int(lost > 0)
+    if options.calibrate:
+        scores = (one for file in options.calibrate for one in read(file).values())
+        print(calibration_report(claims_of(scores)))
+        return 0
     if options.hidden_table:
         print(hidden_table(list(read(options.out).values())))
         return 0
@@ -194,6 +201,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--page", type=Path, help="write this Markdown page and run nothing")
     parser.add_argument(
         "--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="two files; run nothing"
+    )
+    parser.add_argument(
+        "--calibrate", nargs="+", type=Path, metavar="FILE", help="fit how sure claims are"
     )
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
     systems = (*SYSTEMS, *HIDDEN_SYSTEMS)

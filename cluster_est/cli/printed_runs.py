@@ -187,6 +187,8 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
     answer.say("")
     answer.say(f"effect {effect['name']} ({effect['words']}) at {effect['site']}")
     answer.tell(f"  {effect['sentence']}")
+    if effect.get("claim"):
+        answer.tell(f"  {effect['claim']['sentence']}")
     narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
@@ -290,10 +292,9 @@ def _over_noise(row: dict[str, Any], when: str) -> str:
 def _print_rest(answer: Answer, facts: Facts) -> None:
     """Print the effects that did not pass, the noise and the open sites."""
     for effect in facts["rejected"]:
-        answer.say(
-            f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; it shows "
-            "where to look, not what is missing",
-        )
+        said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
+        known = effect.get("claim") or {"sentence": "it shows where to look, not what is missing"}
+        answer.say(said + known["sentence"])
     noise = ", ".join(
         f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()
     )

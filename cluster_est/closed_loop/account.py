@@ -11,22 +11,32 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
     choice_price,
     competing_models,
+    leading_models,
     resampled_choices,
     with_choices,
     with_probabilities,
 )
 from cluster_est.closed_loop.findings.description import (
     describe_effects,
+    describe_untested,
     error_changes,
     shared_arguments,
     where_left,
 )
+from cluster_est.closed_loop.findings.doubts import doubted
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict, pooled_error
+from cluster_est.closed_loop.findings.effects import (
+    ErrorChange,
+    NamedEffect,
+    NoiseChange,
+    Verdict,
+    pooled_error,
+)
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.unexplained import (
     UnexplainedResidual,
@@ -201,18 +211,16 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     after, kept = (grown, found.current) if keep else (before, found.base)
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
-    held: tuple[str, ...] = ()
     competing: tuple[CompetingModel, ...] = ()
     choices = None
+    judgement, doubts = doubted(judgement, kept.structure, before, after)
     if keep:
-        judgement, held = at_bounds(judgement, kept, after)
         shapes = "the shapes of the effects"
         curves = steps.do(shapes, lambda: effect_curves(fitter, kept, grown), ())
         often = "how often these effects are chosen"
         choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
-    named = describe_effects(fitter, found, grown, curves)
     unexplained = steps.do(
         "the description of the unexplained residual",
         lambda: _unexplained(fitter, judgement.verdict, kept, found),
@@ -229,12 +237,19 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
+    named = describe_effects(fitter, found, grown, curves)
+    if not named and judgement.verdict is Verdict.UNEXPLAINED:
+        named = _best_tried(fitter, found)
+    if not fitter.predicts:  # the benchmark has hardly any claims under process noise
+        named = with_claims(named, fits.errors, compared, judgement.closed, claimed=keep)
+    said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
+    said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
-    notes = (*failed, *_nothing_tried(found, scope.sites), *held, *answer.against, *scope.notes)
+    notes = (*failed, *_nothing_tried(found, scope.sites), *doubts, *answer.against, *scope.notes)
     return LoopResult(
         verdict=judgement.verdict,
-        message="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
+        message="; ".join(filter(None, said)),
         effects=named if keep else (),
         before=before,
         after=after,
@@ -243,7 +258,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
         sites=scope.sites,
-        notes=(*notes, *_notes(fitter, judgement.verdict, kept, before, after)),
+        notes=(*notes, *_notes(fitter, judgement.verdict, kept, after)),
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,
         evaluations=fitter.runner.evaluations,
@@ -259,28 +274,11 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     )
 
 
-def at_bounds(
-    judged: ReasonedVerdict, fitted: FittedModel, after: Result
-) -> tuple[ReasonedVerdict, tuple[str, ...]]:
-    """Say which declared parameters stand at a bound: an effect may stand in for what is beyond it.
-
-    Then not all was found, whatever is left.
-    """
-    own = tuple(f"{name}." for name in fitted.structure)
-    held = [
-        f"{each.label} at its {each.at_bound} bound, {each.value:.6g} {each.unit}".rstrip()
-        for each in after.estimates
-        if each.at_bound and not each.label.startswith(own)
-    ]
-    if not held:
-        return judged, ()
-    said = (
-        f"with the effects the fit ends with {' and '.join(held)}: an effect may replace what the "
-        "bound forbids, so widen the bound if it is not a physical one"
-    )
-    if judged.verdict is Verdict.FOUND:
-        judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{judged.reason}; {said}")
-    return judged, (said,)
+def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ...]:
+    """The effects of the best set that was tried, where the search accepted none."""
+    tried = (fit for fit in leading_models(fitter, found, 2) if fit.added)
+    best = next(tried, None)
+    return () if best is None else describe_untested(fitter, best)
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
@@ -366,31 +364,16 @@ def _notes(
     fitter: Fitter,
     verdict: Verdict,
     fitted: FittedModel,
-    before: Result,
     after: Result,
 ) -> tuple[str, ...]:
     """Sentences for the reader."""
-    notes = (*_not_converged(before, after), *shared_arguments(fitted.added))
+    notes = shared_arguments(fitted.added)
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun, where_left(fitter, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))
-
-
-def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
-    """Say which of the last fits reached no solution, so that their values are not the best."""
-    fits = {"the declared model": before}
-    if after is not before:
-        fits["the model with the effects"] = after
-    return tuple(
-        f"the last fit of {model} did not converge "
-        f"({str(fit.solution.ending).partition(';')[0]}): its values, intervals and errors are "
-        "those of its last point"
-        for model, fit in fits.items()
-        if not fit.success
-    )
 
 
 def _of_many_rows(count: int) -> LeastSquares:

@@ -124,7 +124,15 @@ def effect_words(run: ReportedRun) -> list[Block]:
         _, _, values = effect["sentence"].partition(effect["equation"])
         values = values.lstrip(", ")
         blocks.append(TextBlock(values[:1].upper() + values[1:] or effect["sentence"]))
+        if effect.get("claim"):
+            blocks.append(_how_sure(effect))
     return blocks
+
+
+def _how_sure(effect: Row) -> TextBlock:
+    """How often claims or leads like this were right in the benchmark."""
+    said = effect["claim"]["sentence"]
+    return TextBlock(f"{said[:1].upper()}{said[1:]}.")
 
 
 def sure_words(run: ReportedRun) -> list[Block]:
@@ -150,6 +158,8 @@ def effects(run: ReportedRun) -> ReportSection:
         blocks.append(
             TextBlock("Not accepted: this shows where to look, not what is missing.", "faint")
         )
+        if rejected[0].get("claim"):
+            blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
     title = "What the model lacked" if run.is_loop else "Effects that were declared"

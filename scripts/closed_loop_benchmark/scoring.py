@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from closed_loop_benchmark.claims import claim_evidence
 from closed_loop_benchmark.data import Data, run_of
 from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.naming import Match, compare, in_words, label_in_words, normal
@@ -80,8 +79,8 @@ class Score:
     likely
         The sets that hold 90 % of the probability, where that is known: names, in words.
     claims
-        For each effect that was named, whether it is right in place and kind, and its evidence (see
-        `ClaimEvidence`).
+        For each effect that was named or is a lead, whether it is claimed, right in place and kind,
+        and right in place; and its evidence (see `ClaimEvidence`).
     active, spans
         The parts of the search that changed something, and the simulations before and after each
         call of one; None where nobody looked. See `closed_loop_benchmark.activity`.
@@ -222,22 +221,30 @@ def _naming(data: Data, result: LoopResult) -> dict[str, Any]:
 
 
 def _claims(data: Data, result: LoopResult, *, same: bool) -> list[dict[str, Any]]:
-    """Return what speaks for each named effect, and whether it is right.
+    """Return what speaks for each effect that is claimed or a lead, and whether it is right.
 
     It is, where it has a name of a true effect or the whole structure is the `same` model. A free
     curve is right at the place of an effect that the library cannot express.
     """
-    evidence = claim_evidence(result.effects, result.errors, result.structures)
     accepted = [
         normal(n.form, n.site, (n.variable,)) for own in data.scenario.accepted for n in own
     ]
     places = {(name.site, name.variable) for name in accepted}
     claims = []
-    for effect, own in zip(result.effects, evidence, strict=True):
+    for effect in (*result.effects, *result.rejected):
+        if effect.claim is None:
+            continue
         name = normal(effect.form, effect.site, effect.variables)
-        at_place = own.free and (name.site, name.variable) in places
-        right = same or name in accepted or (at_place and data.scenario.kind == "outside")
-        claims.append({"effect": in_words(name), "right": right, **asdict(own)})
+        place = (name.site, name.variable) in places
+        kind = name in accepted or (
+            effect.claim.evidence.free and place and data.scenario.kind == "outside"
+        )
+        marks = {
+            "claimed": effect in result.effects,
+            "right": same or kind,
+            "place": same or place,
+        }
+        claims.append({"effect": in_words(name), **marks, **asdict(effect.claim.evidence)})
     return claims
 
 

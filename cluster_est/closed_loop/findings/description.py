@@ -74,6 +74,26 @@ def describe_effects(
     )
 
 
+def describe_untested(fitter: Fitter, fitted: FittedModel) -> tuple[NamedEffect, ...]:
+    """Describe the effects of a model that the search refitted and did not accept."""
+    namer = Namer(fitter.description, dict(fitter.problem.units))
+    made = []
+    for candidate in fitted.added:
+        words = namer.name(candidate, fitted.coefficients(candidate), None).words
+        made.append(
+            NamedEffect(
+                effect=candidate.effect,
+                family=candidate.form.family,
+                equation=candidate.equation,
+                coefficients=(),
+                words=words,
+                sentence=sentence_of(words, candidate, (), None),
+                label=candidate.label,
+            )
+        )
+    return tuple(made)
+
+
 def error_changes(
     fitter: Fitter, found: SelectionResult, before: Result, after: Result
 ) -> tuple[ErrorChange, ...]:
@@ -151,6 +171,7 @@ def _describe(
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
         also=also,
         period=float(period),
+        label=candidate.label,
     )
 
 
@@ -314,12 +335,19 @@ def _place(candidate: EffectCandidate) -> str:
 
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
-    said = f"{name} = {estimate.value:.4g}{in_unit(estimate.unit)}"
+    value, low, high = estimate.value, estimate.lower95, estimate.upper95
+    said, number = f"{name} = {value:.4g}{in_unit(estimate.unit)}", "{:.4g}".format
+    if estimate.unit == "s" and abs(value) > LONG:
+        said, number = f"{name} = {readable_time(value)}", readable_time
     if estimate.at_bound:
         return f"{said} (at its {estimate.at_bound} bound)"
-    if math.isfinite(estimate.lower95) and math.isfinite(estimate.upper95):
-        return f"{said} ({estimate.lower95:.4g} to {estimate.upper95:.4g})"
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{said} ({number(low)} to {number(high)})"
     return f"{said} (not determined)"
+
+
+LONG = 120.0
+"""Seconds above which a time is said in minutes, hours or days."""
 
 
 def in_unit(unit: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.claims import Claim
 from cluster_est.problem.parameter import Parameter
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
@@ -106,6 +107,10 @@ class NamedEffect:
         Equations that agree with it on the range of the data.
     period
         Seconds, of a wave in time; NaN for what is none.
+    label
+        As structures name it: "coulomb at der(v)".
+    claim
+        How sure it is that it is right; None where that was not asked.
     """
 
     effect: Effect
@@ -118,6 +123,8 @@ class NamedEffect:
     sentence: str = ""
     also: tuple[AgreeingEquation, ...] = ()
     period: float = np.nan
+    label: str = ""
+    claim: Claim | None = None
 
     @property
     def name(self) -> str:

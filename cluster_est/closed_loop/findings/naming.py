@@ -96,6 +96,9 @@ class Namer:
             one_sided=seen is not None and (seen.x.min() >= 0.0 or seen.x.max() <= 0.0),
             level=self._level,
         )
+        if law in ONE_WAVE and _at_lowest(candidate, values):
+            (said,) = map(ONE_WAVE[law].format, map(bracketed, variables or (site.target,)))
+            return EffectName(said, replace(placed, law=Law.OTHER))
         physics = physics_of(placed).format(w=bracketed(variables[-1]) if variables else "")
         words = physics or _in_mathematics(law, site, variables)
         return EffectName(words, placed)
@@ -109,6 +112,25 @@ class Namer:
             return False
         amounts = (MASS, AMOUNT, VOLUME, CONCENTRATION, DENSITY)
         return not known.same_as(*amounts, *((LENGTH,) if self._level else ()))
+
+
+ONE_WAVE = {
+    Law.PERIODIC: "a term in {} that swings once in the data",
+    Law.PERIODIC_TRAVEL: "a term in the integral of {} that swings once in the data",
+    Law.PERIODIC_ERROR: "a part that swings once over {} in the data",
+}
+"""Of waves as long as they may be: what repeats was not seen to."""
+
+
+def _at_lowest(candidate: EffectCandidate, values: Sequence[float]) -> bool:
+    """Return whether a wave is as long as the search allows it to be."""
+    numbers = {c.name: i for i, c in enumerate(candidate.form.coefficients)}
+    i = numbers.get("n", len(values))
+    return i < len(values) and values[i] <= (1.0 + AT_BOUND) * candidate.lowest[i]
+
+
+AT_BOUND = 1e-6
+"""Relative distance within which a coefficient is at its bound: that of rounding."""
 
 
 def _in_mathematics(law: Law, site: EffectSite, variables: tuple[str, ...]) -> str:

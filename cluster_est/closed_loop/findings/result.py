@@ -67,7 +67,8 @@ class LoopResult(ResultView):
     findings
         Every candidate of every step.
     rejected
-        Effects that the search ended with but that did not pass: a hint at the place to look.
+        Leads where the verdict is "unexplained": effects that did not pass, or those of the best
+        set tried. `claim` says how often such leads were right.
     noise
         Estimated standard deviation of each output's noise, in the output's unit; empty with
         process noise, where it is the given sigma.
@@ -256,7 +257,9 @@ EFFECT_COLUMNS = pa.schema(
     [
         *((name, pa.string()) for name in ("effect", "family", "site", "form")),
         ("variables", pa.list_(pa.string())),
-        *((name, pa.string()) for name in ("equation", "words", "coefficient")),
+        *((name, pa.string()) for name in ("equation", "words")),
+        ("probability", pa.float64()),
+        ("coefficient", pa.string()),
         ("value", pa.float64()),
         ("unit", pa.string()),
         *((name, pa.float64()) for name in ("std_error", "lower95", "upper95")),
@@ -295,6 +298,7 @@ def _effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
         {
             "effect": effect.name,
             "coefficient": effect.coefficient(estimate),
+            "probability": np.nan if effect.claim is None else effect.claim.probability,
             **_named(effect),
             **_numbers(estimate),
         }
@@ -326,6 +330,7 @@ def _effect_facts(effect: NamedEffect) -> dict[str, Any]:
         "name": effect.name,
         **_named(effect),
         "sentence": effect.sentence,
+        "claim": None if effect.claim is None else dataclasses.asdict(effect.claim),
         "also": [dataclasses.asdict(a) for a in effect.also],
         "period": effect.period,
         "parameters": {effect.coefficient(e): _numbers(e) for e in effect.coefficients},

@@ -75,6 +75,17 @@ def test_parameters_shift_back_when_the_effect_is_there(closed):
     assert found["coulomb_v.k"]["unit"] == "m/s^2"
 
 
+def test_the_effect_says_how_sure_it_is(closed, capsys):
+    (effect,) = facts(closed[1])["effects"]
+    known = effect["claim"]
+    assert known["probability"] > 0.8
+    assert known["evidence"]["effects"] == 1
+    assert {row["probability"] for row in rows(closed[1], "effects")} == {known["probability"]}
+    assert "right in place and kind: coulomb at der(v) with " in facts(closed[1])["summary"]
+    assert main(["show", str(closed[1])]) == 0
+    assert f"  {known['sentence']}" in capsys.readouterr().out
+
+
 def test_every_candidate_and_every_coefficient_has_a_row(closed):
     effects = rows(closed[1], "effects")
     assert [(row["effect"], row["coefficient"], row["fixed"]) for row in effects] == [

@@ -105,6 +105,11 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     assert "if it is an unmeasured disturbance" in found.message
     assert any("they are too narrow" in note for note in found.notes)
     assert any("the largest part" in note or "spread over all" in note for note in found.notes)
+    assert found.rejected
+    assert {each.form for each in found.rejected} <= {"drift", "coulomb"}
+    for each in found.rejected:
+        assert np.isnan(each.claim.probability)
+        assert each.claim.sentence in found.message
     (left,) = found.unexplained
     assert left.output == "y"
     assert left.over_noise > 2.0

@@ -449,3 +449,32 @@ def test_an_fmu_may_define_its_units(unit, definition, known):
     assert (found and found.powers) == (None if known is None else powers(**known))
     if found is not None:
         assert found.absolute is (definition.offset == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("site", "form", "words"),
+    [
+        ("der(v)", "periodic", "a term in z that swings once in the data"),
+        ("der(v)", "periodic_travel", "a term in the integral of z that swings once in the data"),
+        ("output y", "periodic", "a part that swings once over y in the data"),
+    ],
+)
+def test_a_wave_as_long_as_it_may_be_is_no_wave(site, form, words):
+    variables = () if site.startswith("output") else ("z",)
+    at_lowest = described(site, form, *variables, values=[1.0, 1.0, 0.0])
+    assert at_lowest.words == words
+    repeats = described(site, form, *variables, values=[1.0, 1.0, 1e-3])
+    assert "periodic" in repeats.words
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [
+        (14.0, "tau = 14 s (10 to 18)"),
+        (1800.0, "tau = 30 min (29.9 min to 30.1 min)"),
+        (4.3e5, "tau = 4.98 d (4.98 d to 4.98 d)"),
+    ],
+)
+def test_long_times_are_said_in_minutes_hours_and_days(seconds, said):
+    numbers = [estimate("tau", seconds, "s", error=2.0)]
+    assert said in described("input F", "lag", estimates=numbers).sentence

@@ -1,0 +1,109 @@
+"""The evidence for each effect of a set, from what a closed loop has compared and fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.closed_loop.findings.claims import ClaimEvidence, claim, lead
+from cluster_est.closed_loop.findings.effects import (
+    ErrorChange,
+    NamedEffect,
+    comparable,
+    largest_error,
+    pooled_error,
+)
+from cluster_est.closed_loop.selection.rounds import ComparedStructure
+from cluster_est.problem.display import in_a_row, percent
+from workers.effects.kinds import FREE_FAMILY
+from workers.messages import Role
+
+
+def with_claims(
+    effects: Sequence[NamedEffect],
+    errors: Sequence[ErrorChange],
+    structures: Sequence[ComparedStructure],
+    predicted: float,
+    *,
+    claimed: bool,
+) -> tuple[NamedEffect, ...]:
+    """Give each effect of a set what speaks for it, and how sure it is.
+
+    Parameters
+    ----------
+    effects
+        All effects of the set, in the order in which they were added.
+    errors
+        Before, and with all effects.
+    structures
+        All that were compared.
+    predicted
+        Share of the gap that the set closes in records that were left out for prediction.
+    claimed
+        The effects are claimed; else they are leads.
+
+    Returns
+    -------
+    tuple[NamedEffect, ...]
+        As they are where no noise is known.
+    """
+    known = comparable(errors)
+    role: Role = "test" if any(each.role == "test" for each in known) else "train"
+    before, after = (pooled_error(known, role, after=a) ** 2 for a in (False, True))
+    left = np.array([largest_error(known, role) for role in ("train", "test")])
+    if np.isnan(left).all():  # no noise is known that an error could be compared with
+        return tuple(effects)
+    better = [each.normalised_after < each.normalised_before for each in known]
+    places = [(effect.site, effect.variables) for effect in effects]
+    found = []
+    for position, effect in enumerate(effects):
+        rival, own, chosen = _beside(effect, structures)
+        evidence = ClaimEvidence(
+            effects=len(effects),
+            position=position,
+            shared=places.count(places[position]) > 1,
+            left=float(np.nanmax(left)),
+            gap=float(np.sqrt(before)),
+            closed=float((before - after) / max(before - 1.0, 1e-12)),
+            predicted=predicted,
+            better=float(np.mean(better)) if better else np.nan,
+            rival=rival,
+            own=own,
+            chosen=chosen,
+            at_end=any(each.at_bound for each in effect.coefficients),
+            free=effect.family == FREE_FAMILY,
+        )
+        found.append(replace(effect, claim=(claim if claimed else lead)(evidence)))
+    return tuple(found)
+
+
+def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
+    """Say of each effect how sure it is, or that it is a lead; "" where that is not known."""
+    known = [(effect.label, effect.claim) for effect in effects if effect.claim is not None]
+    if not known:
+        return ""
+    if not claimed:
+        label = " and ".join(label for label, _ in known)
+        return f"{label}: {known[0][1].sentence}"
+    said = [
+        f"{label} with {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
+        for label, own in known
+    ]
+    return f"right in place and kind: {in_a_row(said)}"
+
+
+def _beside(
+    effect: NamedEffect, structures: Sequence[ComparedStructure]
+) -> tuple[float, float, float]:
+    """Return what speaks for an effect beside all that was refitted: rival, own and chosen."""
+    with_it = [row for row in structures if effect.label in row.effects]
+    without = [row for row in structures if effect.label not in row.effects]
+    best = min((row.criterion for row in with_it), default=np.nan)
+    second = min([0.0, *(row.criterion for row in without)])
+    rival = min([second - best, *(other.criterion for other in effect.alternatives)])
+    share = max((row.closed for row in with_it), default=np.nan)
+    own = share - max([0.0, *(row.closed for row in without)])
+    chosen = [row.chosen for row in with_it if np.isfinite(row.chosen)]
+    return float(rival), float(own), float(sum(chosen)) if chosen else np.nan

@@ -1,0 +1,187 @@
+"""How sure claims are: the regression of the package, fitted anew to claims whose truth is known.
+
+What it prints stands in `cluster_est/closed_loop/findings/claims.py`, which says what each figure
+is. It must be fitted again when the search, its library or its gates have changed, to records of
+loops with all forms, with half of them and without those of the answer (`--subsets 1 --lacking 1`):
+a library rarely has all that a user's model lacks.
+
+Probabilities are compared with the truth on systems that the regression has not seen: claims of one
+system are alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import binomtest, rankdata
+
+from closed_loop_benchmark.scoring import Score
+from cluster_est.closed_loop.findings.claims import (
+    ClaimCalibration,
+    ClaimEvidence,
+    LikeClaims,
+    figures,
+)
+
+WEIGHTS = ("fewer", "clean", "apart", "chosen")
+PENALTY = 1.0
+"""Of the squares of the weights of standardised figures, in -2 log likelihood: a prior with a
+standard deviation of 1, which keeps weights finite where a figure alone tells right from wrong."""
+BINS = 5
+
+
+@dataclass(frozen=True)
+class KnownClaim:
+    """An effect of a loop on the benchmark whose truth is known.
+
+    Attributes
+    ----------
+    case, system
+        Where it is from.
+    claimed
+        It was claimed; else it is a lead.
+    right, place
+        It is right in place and kind; in place.
+    evidence
+        What spoke for it.
+    """
+
+    case: str
+    system: str
+    effect: str
+    claimed: bool
+    right: bool
+    place: bool
+    evidence: ClaimEvidence
+
+
+def claims_of(scores: Iterable[Score]) -> list[KnownClaim]:
+    """Return the claims and leads of records; what loops on one case say alike counts once."""
+    names = [field.name for field in fields(ClaimEvidence)]
+    found: dict[tuple[object, ...], KnownClaim] = {}
+    for score in scores:
+        for row in score.claims or ():
+            evidence = ClaimEvidence(**{name: row[name] for name in names})
+            known = score.name, row["effect"], row["claimed"], evidence.effects
+            key = (*known, f"{evidence.left:.4f}")
+            marks = row["claimed"], row["right"], row["place"]
+            found.setdefault(
+                key, KnownClaim(*known[:1], score.system, row["effect"], *marks, evidence)
+            )
+    return list(found.values())
+
+
+def fitted(figures_: np.ndarray, right: np.ndarray) -> tuple[float, np.ndarray]:
+    """Fit a logistic regression without negative weights: its intercept and weights.
+
+    Parameters
+    ----------
+    figures_ : (claims, weights)
+        What the weights multiply.
+    right : (claims,)
+        Whether a claim is right.
+    """
+    mean, spread = figures_.mean(axis=0), np.maximum(figures_.std(axis=0), 1e-9)
+    scaled, sign = (figures_ - mean) / spread, np.where(right, 1.0, -1.0)
+
+    def cost(w: np.ndarray) -> float:
+        odds = w[0] + scaled @ w[1:]
+        return float(2.0 * np.sum(np.logaddexp(0.0, -sign * odds)) + PENALTY * np.sum(w[1:] ** 2))
+
+    bounds = [(None, None), *[(0.0, None)] * figures_.shape[1]]
+    best = minimize(cost, np.zeros(1 + figures_.shape[1]), bounds=bounds).x
+    weights = best[1:] / spread
+    return float(best[0] - weights @ mean), weights
+
+
+def left_out(claims: Sequence[KnownClaim]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the probability and the base rate of each claim, by claims of the other systems."""
+    table = np.array([figures(each.evidence) for each in claims])
+    right = np.array([each.right for each in claims])
+    systems = np.array([each.system for each in claims])
+    found, base = np.zeros(len(claims)), np.zeros(len(claims))
+    for system in dict.fromkeys(systems.tolist()):
+        own = systems == system
+        intercept, weights = fitted(table[~own], right[~own])
+        found[own] = 1.0 / (1.0 + np.exp(-(intercept + table[own] @ weights)))
+        base[own] = right[~own].mean()
+    return found, base
+
+
+def calibrated(claims: Sequence[KnownClaim]) -> ClaimCalibration:
+    """Fit the regression to the claims of laws, and count how many of all kinds were right."""
+    laws = [each for each in claims if each.claimed and not each.evidence.free]
+    curves = [each for each in claims if each.claimed and each.evidence.free]
+    leads = [each for each in claims if not each.claimed]
+    table = np.array([figures(each.evidence) for each in laws])
+    right = np.array([each.right for each in laws])
+    intercept, weights = fitted(table, right)
+    probability, _ = left_out(laws)
+    alike = [
+        LikeClaims(_short(p.min()), int(r.sum()), len(r)) for p, r in _bins(probability, right)
+    ]
+    return ClaimCalibration(
+        origin=f"{_counted(laws)}, {len(curves)} free curves, {len(leads)} leads",
+        intercept=_short(intercept),
+        **{name: _short(w) for name, w in zip(WEIGHTS, weights.tolist(), strict=True)},
+        alike=tuple(alike),
+        curves=LikeClaims(0.0, sum(each.place for each in curves), len(curves)),
+        leads=LikeClaims(0.0, sum(each.right for each in leads), len(leads)),
+        lead_places=LikeClaims(0.0, sum(each.place for each in leads), len(leads)),
+    )
+
+
+def _counted(claims: Sequence[KnownClaim]) -> str:
+    wrong = sum(not each.right for each in claims)
+    cases = len({each.case for each in claims})
+    systems = len({each.system for each in claims})
+    return f"{len(claims)} claims in {cases} cases of {systems} systems, {wrong} of them wrong"
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _bins(probability: np.ndarray, right: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Cut claims into bins of one size, the least probable first."""
+    order = np.argsort(probability, kind="stable")
+    return [(probability[rows], right[rows]) for rows in np.array_split(order, BINS)]
+
+
+def area_under_curve(probability: np.ndarray, right: np.ndarray) -> float:
+    """Return how often a right claim has a higher probability than a wrong one."""
+    ranks, positive = rankdata(probability), int(right.sum())
+    above = ranks[right].sum() - positive * (positive + 1) / 2
+    return float(above / max(positive * (len(right) - positive), 1))
+
+
+def calibration_report(claims: Sequence[KnownClaim]) -> str:
+    """Say how probabilities of claims compare with the truth, and print what the package needs."""
+    laws = [each for each in claims if each.claimed and not each.evidence.free]
+    right = np.array([each.right for each in laws])
+    probability, base = left_out(laws)
+    brier, of_base = (float(np.mean((p - right) ** 2)) for p in (probability, base))
+    lines = [
+        f"{_counted(laws)}; probabilities are those of a regression on the other systems",
+        f"Brier score {brier:.4f}, that of the base rate {of_base:.4f}; "
+        f"area under the curve {area_under_curve(probability, right):.3f}",
+        "said            mean   right        95 % interval",
+    ]
+    for p, r in _bins(probability, right):
+        lines.append(f"{p.min():.3f} to {p.max():.3f}  {p.mean():.3f}  {_share(r, p.mean())}")
+    sure = probability >= 0.9
+    if sure.any():
+        lines.append(f"0.9 or more     {probability[sure].mean():.3f}  {_share(right[sure], None)}")
+    lines += ["", f"CALIBRATION = {calibrated(claims)!r}"]
+    return "\n".join(lines)
+
+
+def _share(right: np.ndarray, said: float | None) -> str:
+    """A share with its interval after Clopper and Pearson, and whether that holds what was said."""
+    low, high = binomtest(int(right.sum()), len(right)).proportion_ci()
+    outside = "" if said is None or low <= said <= high else "  outside"
+    share = f"{right.sum()} of {len(right)}"
+    return f"{share:11s} {right.mean():.3f}  {low:.3f} to {high:.3f}{outside}"

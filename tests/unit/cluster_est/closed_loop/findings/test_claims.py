@@ -1,0 +1,165 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
+from cluster_est.closed_loop.findings.claims import (
+    CALIBRATION,
+    FEW,
+    ClaimCalibration,
+    ClaimEvidence,
+    LikeClaims,
+    claim,
+    lead,
+)
+from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect
+from cluster_est.closed_loop.selection.rounds import ComparedStructure
+from workers.messages import Effect
+
+EVIDENCE = ClaimEvidence(
+    effects=1, position=0, shared=False, left=1.0, gap=9.0, closed=1.0, predicted=1.0, better=1.0,
+    rival=99.0, own=0.5, chosen=1.0, at_end=False, free=False,
+)  # fmt: skip
+KNOWN = ClaimCalibration(
+    origin="",
+    intercept=-1.0,
+    fewer=1.0,
+    clean=1.0,
+    apart=1.0,
+    chosen=1.0,
+    alike=(LikeClaims(0.0, 20, 50), LikeClaims(0.5, 40, 50), LikeClaims(0.9, 38, 40)),
+    curves=LikeClaims(0.0, 3, 5),
+    leads=LikeClaims(0.0, 12, 75),
+    lead_places=LikeClaims(0.0, 33, 75),
+)
+
+
+@pytest.mark.parametrize(
+    "worse",
+    [{"effects": 3}, {"left": 3.0}, {"shared": True}, {"chosen": 0.3}],
+    ids=str,
+)
+@pytest.mark.parametrize("known", [KNOWN, CALIBRATION], ids=["made", "of the package"])
+def test_what_speaks_against_an_effect_makes_its_claim_less_sure(known, worse):
+    doubted = replace(EVIDENCE, left=1.5, effects=2)  # below what the surest claims allow for
+    assert claim(replace(doubted, **worse), known).probability < claim(doubted, known).probability
+
+
+def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
+    sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
+    assert sure.probability == pytest.approx(39 / 42)
+    assert sure.sentence.endswith("of 40 claims like this in the benchmark, 38 were right")
+
+
+@pytest.mark.parametrize(("left", "of"), [(100.0, "50 claims"), (1.0, "40 claims")])
+def test_a_claim_says_how_many_like_it_were_right(left, of):
+    found = claim(replace(EVIDENCE, left=left), KNOWN)
+    assert f"of {of} like this in the benchmark" in found.sentence
+    assert found.sentence.startswith(
+        f"right in place and kind with {100 * found.probability:.0f} %"
+    )
+
+
+def test_a_claim_below_all_of_the_benchmark_is_like_the_least_sure_ones():
+    known = replace(KNOWN, alike=(LikeClaims(0.4, 20, 50), *KNOWN.alike[1:]))
+    assert "of 50 claims" in claim(replace(EVIDENCE, left=1e3, effects=3), known).sentence
+
+
+def test_a_choice_that_nobody_made_is_as_sure_as_one_that_is_made_always():
+    unknown = claim(replace(EVIDENCE, chosen=np.nan, left=1.5), KNOWN)
+    assert unknown.probability == claim(replace(EVIDENCE, left=1.5), KNOWN).probability
+
+
+def test_a_free_curve_is_a_place_and_no_law():
+    found = claim(replace(EVIDENCE, free=True), KNOWN)
+    assert found.sentence == (
+        "a place and no law: of 5 free curves in the benchmark, which are few, 3 were at the right "
+        "place"
+    )
+    assert found.probability == pytest.approx(4 / 7)
+
+
+def test_a_lead_is_no_claim_and_has_no_probability():
+    found = lead(EVIDENCE, KNOWN)
+    assert np.isnan(found.probability)
+    assert found.sentence == (
+        "a lead, and no claim: of 75 such leads in the benchmark, 12 were right in place and kind, "
+        "and 33 in place"
+    )
+
+
+def test_the_calibration_rests_on_enough_claims_and_no_weight_is_negative():
+    assert len(CALIBRATION.alike) == 5
+    assert min(bin_.of for bin_ in CALIBRATION.alike) >= FEW
+    assert f"{sum(bin_.of for bin_ in CALIBRATION.alike)} claims" in CALIBRATION.origin
+    weights = CALIBRATION.fewer, CALIBRATION.clean, CALIBRATION.apart, CALIBRATION.chosen
+    assert min(weights) >= 0.0
+    shares = [bin_.right / bin_.of for bin_ in CALIBRATION.alike]
+    assert shares[-1] > shares[0]
+
+
+ERROR = ErrorChange("a", "train", "y", "m", 100, 2.0, 1.1, 2.0, 1.1)
+HELD_OUT = replace(ERROR, experiment="b", role="test", normalised_before=5.0, normalised_after=1.0)
+
+
+def named(form: str, site: str = "der(v)", *variables: str) -> NamedEffect:
+    effect = Effect(form, site, form, variables)
+    return NamedEffect(effect, "", "", (), label=f"{form} at {site}")
+
+
+def row(criterion: float, closed: float, chosen: float, *effects: NamedEffect) -> ComparedStructure:
+    labels = tuple(effect.label for effect in effects)
+    return ComparedStructure(1, labels, criterion, closed, True, False, chosen=chosen)
+
+
+FRICTION, GAIN, DRAG = named("coulomb"), named("gain", "output y"), named("quadratic")
+ROWS = (
+    row(-90.0, 0.9, 0.6, FRICTION, GAIN),
+    row(-60.0, 0.5, 0.3, FRICTION),
+    row(-10.0, 0.2, 0.1, GAIN),
+)
+
+
+def evidence(effects, errors=(ERROR, HELD_OUT), structures=ROWS) -> list[ClaimEvidence]:
+    found = with_claims(effects, errors, structures, 0.8, claimed=True)
+    return [each.claim.evidence for each in found]
+
+
+def test_an_effect_is_compared_with_all_that_lacks_it():
+    first, second = evidence([FRICTION, GAIN])
+    assert (first.effects, first.position, second.position) == (2, 0, 1)
+    assert (first.rival, second.rival) == (80.0, 30.0)
+    assert (first.own, second.own) == pytest.approx((0.7, 0.4))
+    assert (first.chosen, second.chosen) == pytest.approx((0.9, 0.7))
+
+
+def test_the_gap_is_that_of_held_out_data_where_there_are_some():
+    (both,) = evidence([FRICTION])
+    assert (both.gap, both.closed, both.left) == pytest.approx((5.0, 1.0, 1.1))
+    (training,) = evidence([FRICTION], [ERROR])
+    assert (training.gap, training.closed) == pytest.approx((2.0, (4.0 - 1.21) / 3.0))
+
+
+def test_effects_of_one_place_and_argument_share_it():
+    assert [each.shared for each in evidence([FRICTION, GAIN, DRAG])] == [True, False, True]
+    over = [named("linear", "der(v)", "u"), named("square", "der(v)", "w")]
+    assert not any(each.shared for each in evidence(over))
+
+
+def test_nothing_is_said_where_no_noise_is_known():
+    unknown = replace(ERROR, normalised_before=np.nan, normalised_after=np.nan)
+    assert with_claims([FRICTION], [unknown], ROWS, 0.8, claimed=True) == (FRICTION,)
+    assert how_sure([FRICTION], claimed=True) == ""
+
+
+def test_the_summary_says_how_sure_each_effect_is():
+    curve = replace(GAIN, family="table")
+    found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, 0.8, claimed=True)
+    said = how_sure(found, claimed=True)
+    assert said.startswith("right in place and kind: coulomb at der(v) with ")
+    assert said.endswith("(its place)")
+    leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, 0.8, claimed=False)
+    assert how_sure(leads, claimed=False).startswith(
+        "coulomb at der(v) and gain at output y: a lead"
+    )

@@ -1,0 +1,62 @@
+from dataclasses import replace
+
+import pytest
+from support.loop_objects import made_problem, made_result
+from support.named_effects import estimate
+
+from cluster_est.closed_loop.findings.doubts import doubted
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
+from cluster_est.methods.method import Ending
+
+DONE = made_result(made_problem(50), ())
+SLOW = replace(DONE, solution=replace(DONE.solution, ending=Ending.MAX_ITERATIONS))
+FOUND = ReasonedVerdict(Verdict.FOUND, "the effect closes 99% of the gap")
+DECLARED = replace(estimate("k", 9.0), label="k", parameter="k")
+SHAPE = estimate("half", 31.0, "m")
+
+
+def at_bound(*estimates):
+    held = tuple(replace(each, at_bound="upper") for each in estimates)
+    return replace(DONE, estimates=held)
+
+
+@pytest.mark.parametrize(
+    ("after", "cause"),
+    [
+        (at_bound(SHAPE), "e.half at its upper bound, 31 m: at the end of its range a law"),
+        (at_bound(DECLARED), "k at its upper bound, 9: an effect may replace what the bound"),
+        (SLOW, "the last fit of the model with the effects did not converge"),
+    ],
+    ids=["shape at its end", "declared parameter at its bound", "not converged"],
+)
+def test_what_is_in_doubt_bars_found_and_is_named(after, cause):
+    judged, said = doubted(FOUND, {"e"}, DONE, after)
+    assert judged.verdict is Verdict.PARTIAL
+    assert judged.reason.startswith(FOUND.reason)
+    assert cause in judged.reason
+    (sentence,) = said
+    assert cause in sentence
+
+
+def test_without_doubts_what_was_found_stays_found():
+    known = replace(DONE, estimates=(SHAPE, DECLARED))
+    assert doubted(FOUND, {"e"}, DONE, known) == (FOUND, ())
+
+
+def test_each_cause_is_named_apart():
+    _, said = doubted(FOUND, {"e"}, DONE, at_bound(SHAPE, DECLARED))
+    declared, shape = said
+    assert declared.startswith("with the effects the fit ends with k at its upper bound")
+    assert shape.startswith("the fit ends with e.half at its upper bound")
+
+
+def test_a_fit_of_the_declared_model_alone_bars_nothing_that_was_found():
+    judged, said = doubted(FOUND, {"e"}, SLOW, DONE)
+    assert judged is FOUND
+    assert said[0].startswith("the last fit of the declared model did not converge")
+
+
+def test_where_nothing_was_added_bounds_are_no_doubt_of_an_effect():
+    none = ReasonedVerdict(Verdict.NONE, "")
+    assert doubted(none, (), DONE, at_bound(DECLARED)) == (none, ())
