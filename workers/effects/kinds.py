@@ -140,6 +140,8 @@ class FormCoefficient:
         Multiples of that scale that a search tries.
     held
         It stays at its value of the grid when the effect is fitted.
+    each
+        It has a value of its own in each experiment: what was there when that began.
     unit
         In the words that `workers.effects.definition` knows, such as "site / v^2".
     """
@@ -151,6 +153,7 @@ class FormCoefficient:
     scale: GridScale | None = None
     grid: tuple[float, ...] = ()
     held: bool = False
+    each: bool = False
     unit: str = ""
 
 

@@ -14,7 +14,8 @@ series.
 
 Where a store begins is known or not. As full as v says: z = v. Empty: z = 0. Elsewhere: what an
 unknown start adds decays, whatever the signals do, so z begins at 0 and a e is added, with e' = -e
-/ tau from 1; the start itself is a / k. It is linear in both, and is the same in all experiments.
+/ tau from 1; the start itself is a / k. It is linear in both, and each experiment has an a of its
+own: nobody has measured how warm the wall was.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def _time(name: str, *steps: float) -> FormCoefficient:
 
 
 _EXCHANGE = FormCoefficient("k", positive=True, unit="site / v")
-_FIRST = FormCoefficient("a", unit="site")
+_FIRST = FormCoefficient("a", each=True, unit="site")
 """What is added at the start."""
 _TAU = _time("tau", 3.0, 15.0, 75.0)
 _STORE = OwnState("z", "(v - z) / tau", "v")
