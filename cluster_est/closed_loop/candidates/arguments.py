@@ -22,9 +22,9 @@ ACTS = 1e-9
 """Share of a state's largest derivative below which something does not act on it."""
 
 
-FIRST_OF_READ = (Law.LINEAR, Law.SQUARE)
-"""Laws by which a parameter may follow an output at first: each is a simulation. Others are looked
-at where these lead."""
+FIRST_OF_READ = (Law.LINEAR, Law.SQUARE, Law.PRODUCT_WITH_SIGNAL, Law.STORE)
+"""Laws by which a parameter or an input may follow an output at first: each is a simulation. Others
+are looked at where these lead."""
 
 TIME = ""
 """The argument of what depends on time alone: a constant, a drift, a wave."""
@@ -78,7 +78,7 @@ class OpenArguments:
         For each output the inputs that act on it at once, and not by way of states: what is missing
         in such an output may be one more term of a balance.
     read
-        In co-simulation, the outputs that a parameter may follow.
+        In co-simulation, the outputs that a parameter or an input may follow.
     """
 
     states: tuple[str, ...]
@@ -113,6 +113,8 @@ class OpenArguments:
         if site.kind == "parameter":
             relative = dict.fromkeys(itertools.chain(*self.relative.values()))
             return [*names, *self.read, *relative]
+        if site.kind == "input":
+            names += self.read
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
     def around(self, site: EffectSite) -> list[tuple[str, str]]:
@@ -162,7 +164,7 @@ class OpenArguments:
             FormCondition.STATE: not state,
             FormCondition.DRIVEN: argument not in self.driven,
             FormCondition.FEEDS: argument not in self.feeds.get(site.target, ()),
-            FormCondition.FORCE: len(pushed) < 2 or not state,
+            FormCondition.FORCE: argument not in self.read and (len(pushed) < 2 or not state),
             FormCondition.POSITION: self.speeds.get(argument) not in pushed,
             FormCondition.NO_POSITION: argument in self.no_ways,
             FormCondition.OTHER: argument in pushed,
@@ -309,7 +311,7 @@ def variables_of(
         pairs = arguments.around(site)
         return [p for p in pairs if leading is None or difference(*p) in leading]
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
-    if leading is None and site.kind == "parameter" and form.law not in FIRST_OF_READ:
+    if leading is None and form.law not in FIRST_OF_READ and site.kind in ("parameter", "input"):
         names = [name for name in names if name not in arguments.read]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]

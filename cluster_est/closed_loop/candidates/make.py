@@ -269,6 +269,8 @@ def _bounds(
         return 0.125, 8.0
     if coefficient.scale is GridScale.DAMPING:
         return 0.001, 1.0
+    if coefficient.scale is GridScale.SHARE:
+        return 0.0, 1.0
     if coefficient.positive:
         low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:
