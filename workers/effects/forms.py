@@ -372,6 +372,14 @@ _RATES = (
     _between("power", "drag", Law.POWER,
              "sign(v) * (abs(v) / ref)^n", "", _EXPONENT_OF_POWER, _REFERENCE,
              when=(), order=1.0),
+    # a heat exchanger's film, a valve between two tanks
+    replace(
+        _between("power_times", "coupling", Law.TIMES_POWER, "v * (abs(w) / ref)^n", " / v",
+                 _shape("n", "1", GridScale.EXPONENT, 0.5, 1.0, 2.0),
+                 replace(_REFERENCE, scale=GridScale.MAX_W, unit="w"),
+                 when=(FormCondition.EXCHANGE,), order=0.6),
+        variables=2,
+    ),
     _between("coulomb", "friction", Law.SWITCH, "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", Law.ABOVE, "max(v - at, 0)", " / v",
              _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
@@ -550,6 +558,11 @@ _VARIATIONS = (
     EffectForm("power", "variation", Law.POWER, _PAR, "s * (max(abs(v), at / 1000) / at)^n",
          (FormCoefficient("n", unit="1"), _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1,
          when=(FormCondition.POSITIVE,), order=1.2),
+    # of a film by the flow past it (King, Nusselt), which still conducts where nothing flows
+    EffectForm("offset_power", "variation", Law.OFFSET_POWER, _PAR,
+         "s * (1 + k * ((abs(v) / at)^n - 1))",
+         (_k("1"), _shape("n", "1", GridScale.EXPONENT, 0.5, 1.5, 3.0),
+          _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1, order=1.4, later=True),
     EffectForm("exponential", "variation", Law.EXPONENTIAL, _PAR, "s * exp(k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.2),
     # of a temperature: where the exponential law fits as well, this one is known from physics

@@ -107,6 +107,8 @@ class FormCondition(enum.Enum):
     AROUND = "around"
     """Its two variables are the state at whose derivative it acts and an input of its unit that
     acts on it, such as an ambient temperature; at a pair, its two states if they have one unit."""
+    EXCHANGE = "exchange"
+    """Its first variable is the difference of a pair's two states, of one unit."""
     FROM_REST = "from rest"
     """The signal at its site is not zero at the start of every experiment: it may have begun then,
     or have been there before."""

@@ -140,6 +140,10 @@ class OpenArguments:
         places = [x for x, v in self.speeds.items() if v in pushed and x in self.states]
         return [n for n in dict.fromkeys([*self.single(names), *places]) if n not in pushed]
 
+    def carriers(self, site: EffectSite) -> list[str]:
+        """Return what an exchange between a pair of states may grow with besides."""
+        return [n for n in (*self.driven, *self.states) if n not in site.targets]
+
     @cached_property
     def _of_one_unit(self) -> list[tuple[str, str]]:
         pairs = itertools.combinations(self.states, 2)
@@ -310,6 +314,10 @@ def variables_of(
     if FormCondition.AROUND in form.when:
         pairs = arguments.around(site)
         return [p for p in pairs if leading is None or difference(*p) in leading]
+    if FormCondition.EXCHANGE in form.when:
+        own = difference(*site.targets)
+        alike = own in arguments.between_states and (leading is None or own in leading)
+        return [(own, other) for other in arguments.carriers(site)] if alike else []
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if leading is None and form.law not in FIRST_OF_READ and site.kind in ("parameter", "input"):
         names = [name for name in names if name not in arguments.read]
@@ -320,7 +328,8 @@ def variables_of(
         return [(own, other) for own in arguments.pushed_by(site) for other in others]
     if FormCondition.FEEDS in form.when:
         names = [name for name in names if arguments.takes(form, site, name)]
-    return list(itertools.combinations(arguments.single(names), 2))
+    order = arguments.at(site).index
+    return list(itertools.combinations(sorted(arguments.single(names), key=order), 2))
 
 
 def open_places(
