@@ -54,6 +54,7 @@ class Law(enum.Enum):
     TIMES_POWER = "an exchange by {v} that grows with a power of {w}"
     LAGGED = "a term in the lagged {v}"
     DELAYED = "a term in the delayed {v}"
+    TWO_LAGS = "a term in {v} with two hidden time constants"
     LAGGED_SQUARE = "a term in the lagged square of {v}"
     STORE = "an exchange with a hidden store that follows {v}"
     STORE_FROM_ZERO = "an exchange with a hidden store that follows {v} and begins at zero"

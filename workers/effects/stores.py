@@ -58,6 +58,8 @@ _TWO = (
     _time("tau_slow", 40.0, 150.0),
 )  # fmt: skip
 _DECAY = OwnState("e", "-e / tau", "1")
+_FREE = tuple(replace(c, positive=c.scale is not None) for c in _TWO)
+"""Of what is not drawn from the state itself: it may push either way."""
 
 _RESONANCE = (
     FormCoefficient("f", None, positive=True, scale=GridScale.SPECTRUM, grid=(1.0,),
@@ -67,6 +69,10 @@ _RESONANCE = (
 )  # fmt: skip
 """Of an oscillator that the residual shows: it rings where its spectrum has a peak."""
 _SWING = OwnState("y", "f * (v - z) - 2 * d * f * y", "0")
+_PARTS = (
+    FormCoefficient("a", unit="site / v"), FormCoefficient("b", unit="site / v"), *_RESONANCE,
+)  # fmt: skip
+"""What its way does and what its speed does."""
 
 _OWN = (FormCondition.OWN,)
 _FILLED = (FormCondition.AMOUNT, FormCondition.FROM_REST)
@@ -89,6 +95,13 @@ _AT_STATES = (
     # a gut, a tank that runs out: full at the start, and nothing comes after
     EffectForm("emptying", "store", Law.DECAY, _DER, "a * e", (_FIRST, _TAU), 0, (_DECAY,),
          order=0.4),
+    # what lies between another signal and the state, if one lag is not enough
+    EffectForm("two_lags", "store", Law.TWO_LAGS, _DER, "k * z + k_slow * y", _FREE, 1,
+         (_STORE, _SLOW), when=(FormCondition.OTHER,), order=0.9, later=True),
+    # a mast that swings by a motor's torque and pulls at the body
+    EffectForm("driven_mode", "store", Law.RESONANCE, _DER, "a * z + b * y",
+         _PARTS, 1, (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,),
+         order=0.8),
     # a mass on a spring that hangs on a body: y is its speed, k / f its mass over the body's
     EffectForm("oscillator", "store", Law.ATTACHED_OSCILLATOR, _DER,
          "-k * (z + 2 * d * (v - y))", (_EXCHANGE, *_RESONANCE), 1,
@@ -119,10 +132,8 @@ _AT_SIGNALS = (
     EffectForm("lead", "lag", Law.LEAD, _SIGNAL, "s + k * (s - z)",
          (FormCoefficient("k", unit="1"), _TAU), 0, (OwnState("z", "(s - z) / tau", "s"),),
          order=0.6),
-    # a mode of vibration beside those of the model: a is what its way shows, b what its speed does
-    EffectForm("mode_feed_through", "store", Law.RESONANCE, _OUT, "s + a * z + b * y",
-         (FormCoefficient("a", unit="site / v"), FormCoefficient("b", unit="site / v"),
-          *_RESONANCE), 1,
+    # a mode of vibration beside those of the model
+    EffectForm("mode_feed_through", "store", Law.RESONANCE, _OUT, "s + a * z + b * y", _PARTS, 1,
          (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,), order=0.6),
 )  # fmt: skip
 
