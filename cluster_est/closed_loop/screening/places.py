@@ -4,11 +4,11 @@ Where there are too many candidates to compare each with the residual, those at 
 are. The curve is piecewise linear in the argument, and beside it stand filters of the argument,
 some lags and an oscillation, for what remembers: a hidden store at a place is little of a function
 there, and would be looked for where one happens to follow it. All experiments share one set of
-coefficients. With D their directions outside the declared parameters, and r the residual, it explains
-b'(D'D)^-1 b, b = D'r. The adjoint gives b at all places from one integration: for a weighting w of
-the residuals w'(D f) = (D'w)'f, and D'w follows at every site at once by integrating backwards. D'D
-follows from some random weightings z more: E[D'z z'D] = D'D (M. F. Hutchinson, Commun. Stat. Simul.
-Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
+coefficients. With D their directions outside the declared parameters, and r the residual, it
+explains b'(D'D)^-1 b, b = D'r. The adjoint gives b at all places from one integration: for a
+weighting w of the residuals w'(D f) = (D'w)'f, and D'w follows at every site at once by integrating
+backwards. D'D follows from some random weightings z more: E[D'z z'D] = D'D (M. F. Hutchinson,
+Commun. Stat. Simul. Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
 """
 
 from __future__ import annotations
