@@ -154,9 +154,16 @@ class FittedModel:
         return self.space.estimates(self.x)
 
     def coefficients(self, added: EffectCandidate) -> list[float]:
-        """Values of the coefficients of an effect, estimated or held."""
+        """Values of the coefficients of an effect, estimated or held, of some one an experiment."""
         known = {p.name: p.start for p in self.problem.parameters} | self.estimates
-        return [float(known[f"{added.effect.name}.{c.name}"]) for c in added.form.coefficients]
+        labels = [f"{added.effect.name}.{c.name}" for c in added.form.coefficients]
+        found: list[float] = []
+        for label, coefficient in zip(labels, added.form.coefficients, strict=True):
+            own = (
+                [f"{label}[{name}]" for name in added.experiments] if coefficient.each else [label]
+            )
+            found += [float(known[each]) for each in own]
+        return found
 
     def likelihood(self, records: StackedRecords) -> float:
         """-2 log likelihood, with the variance of each output's noise estimated along."""
@@ -182,7 +189,8 @@ class FitStart:
             effects=(*self.problem.effects, candidate.effect),
             parameters=(*self.problem.parameters, *candidate.parameters(values)),
         )
-        return FitStart(problem, self.values, (*self.added, candidate))
+        known = {**self.values, **candidate.starts(values)}
+        return FitStart(problem, known, (*self.added, candidate))
 
     def minus(self, position: int) -> FitStart:
         """Without one of the effects that were added."""

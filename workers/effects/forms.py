@@ -297,6 +297,14 @@ _RATES = (
     EffectForm("hill_power", "coupling", Law.HILL_POWER, _DER,
          "k * max(v, 0)^n / (half^n + max(v, 0)^n)",
          (_k("site"), _HALF, _HILL), 1, when=(FormCondition.POSITIVE,), order=1.2, later=True),
+    # of a flow and what it carries, of two reactants, of a valve and the pressure across it
+    EffectForm("power_product", "coupling", Law.PRODUCT_OF_POWERS, _DER,
+         "k * sign(v) * (abs(v) / ref)^m * (abs(w) / other)^n",
+         (_k("site"), _shape("m", "1", GridScale.EXPONENT, 0.5, 1.0, 2.0),
+          _shape("n", "1", GridScale.EXPONENT, 0.5, 1.0, 2.0), _REFERENCE,
+          FormCoefficient("other", None, positive=True, scale=GridScale.MAX_W, grid=(1.0,),
+                          held=True, unit="w")),
+         2, order=1.1, later=True),
     # of a state at its surroundings' temperature, or of two
     EffectForm("radiation", "radiation", Law.FOURTH_DIFFERENCE, _DER,
          "-k * ((v + zero)^4 - (w + zero)^4)",
@@ -309,6 +317,10 @@ _RATES = (
     EffectForm("exponential", "coupling", Law.EXPONENTIAL, _DER, "k * exp((v - at) / width)",
          (_k("site"), _at("v", GridScale.HIGH_V, 1.0, held=True),
           _shape("width", "v", GridScale.RMS_V, 0.15, 0.5)), 1, order=1.2),
+    EffectForm("arrhenius", "coupling", Law.ARRHENIUS, _DER,
+         "k * exp(E * (1 / (at + zero) - 1 / (v + zero)))",
+         (_k("site"), _shape("E", "v", GridScale.KELVIN, 3000.0, 10000.0),
+          _at("v", GridScale.HIGH_V, 1.0, held=True), _ZERO), 1, order=1.1, later=True),
     EffectForm("lagged", "coupling", Law.LAGGED, _DER,
          "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
@@ -360,6 +372,14 @@ _RATES = (
     _between("power", "drag", Law.POWER,
              "sign(v) * (abs(v) / ref)^n", "", _EXPONENT_OF_POWER, _REFERENCE,
              when=(), order=1.0),
+    # a heat exchanger's film, a valve between two tanks
+    replace(
+        _between("power_times", "coupling", Law.TIMES_POWER, "v * (abs(w) / ref)^n", " / v",
+                 _shape("n", "1", GridScale.EXPONENT, 0.5, 1.0, 2.0),
+                 replace(_REFERENCE, scale=GridScale.MAX_W, unit="w"),
+                 when=(FormCondition.EXCHANGE,), order=0.6),
+        variables=2,
+    ),
     _between("coulomb", "friction", Law.SWITCH, "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", Law.ABOVE, "max(v - at, 0)", " / v",
              _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
@@ -538,6 +558,11 @@ _VARIATIONS = (
     EffectForm("power", "variation", Law.POWER, _PAR, "s * (max(abs(v), at / 1000) / at)^n",
          (FormCoefficient("n", unit="1"), _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1,
          when=(FormCondition.POSITIVE,), order=1.2),
+    # of a film by the flow past it (King, Nusselt), which still conducts where nothing flows
+    EffectForm("offset_power", "variation", Law.OFFSET_POWER, _PAR,
+         "s * (1 + k * ((abs(v) / at)^n - 1))",
+         (_k("1"), _shape("n", "1", GridScale.EXPONENT, 0.5, 1.5, 3.0),
+          _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1, order=1.4, later=True),
     EffectForm("exponential", "variation", Law.EXPONENTIAL, _PAR, "s * exp(k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.2),
     # of a temperature: where the exponential law fits as well, this one is known from physics

@@ -42,6 +42,8 @@ class GridScale(enum.Enum):
     """1 % quantile of the form's second variable."""
     HIGH_W = "high w"
     """99 % quantile of it."""
+    MAX_W = "max w"
+    """Largest absolute value of it."""
     COUPLING = "coupling"
     """How much more than on the first state of a pair what is between the two acts on the second:
     by the derivatives of their rates by each other, 1 where these say nothing."""
@@ -63,6 +65,10 @@ class GridScale(enum.Enum):
     """Entries are exponents of a power law, whatever the data are."""
     NUMBER = "number"
     """Entries are the values themselves, of a coefficient without a unit."""
+    SHARE = "share"
+    """The same, of shares: between 0 and 1."""
+    KELVIN = "kelvin"
+    """Entries are in kelvin."""
     DAMPING = "damping"
     """Entries are ratios of damping of what swings: below 1."""
     SPECTRUM = "spectrum"
@@ -91,7 +97,8 @@ class FormCondition(enum.Enum):
     FORCE = "force"
     """It acts at an input that acts on the derivatives of several states; its variable is a state.
 
-    Where an input acts on one derivative alone, the same form at that derivative says the same.
+    Where an input acts on one derivative alone, the same form at that derivative says the same. In
+    co-simulation, where derivatives are closed, its variable is what the FMU shows.
     """
     POSITION = "position"
     """Its variable is the integral, but for a factor, of a state that the effect pushes."""
@@ -100,6 +107,8 @@ class FormCondition(enum.Enum):
     AROUND = "around"
     """Its two variables are the state at whose derivative it acts and an input of its unit that
     acts on it, such as an ambient temperature; at a pair, its two states if they have one unit."""
+    EXCHANGE = "exchange"
+    """Its first variable is the difference of a pair's two states, of one unit."""
     FROM_REST = "from rest"
     """The signal at its site is not zero at the start of every experiment: it may have begun then,
     or have been there before."""
@@ -140,6 +149,8 @@ class FormCoefficient:
         Multiples of that scale that a search tries.
     held
         It stays at its value of the grid when the effect is fitted.
+    each
+        It has a value of its own in each experiment: what was there when that began.
     unit
         In the words that `workers.effects.definition` knows, such as "site / v^2".
     """
@@ -151,6 +162,7 @@ class FormCoefficient:
     scale: GridScale | None = None
     grid: tuple[float, ...] = ()
     held: bool = False
+    each: bool = False
     unit: str = ""
 
 

@@ -10,11 +10,13 @@ conductance, a second compartment with rates k there and 1 / tau back. Two in a 
 stand side by side with other numbers, as every circuit of resistors and capacitors is (R. M.
 Foster, Bell Syst. Tech. J. 3 (1924) 259-267, doi:10.1002/j.1538-7305.1924.tb01358.x), so there is
 no form of a row. Of another state, k (v - z) is what passes it late, or a spring and a damper in
-series.
+series. What lies between two states takes from both: a wall between two rooms follows a mean of
+them, with the share that its conductance to the first has of the two.
 
 Where a store begins is known or not. As full as v says: z = v. Empty: z = 0. Elsewhere: what an
 unknown start adds decays, whatever the signals do, so z begins at 0 and a e is added, with e' = -e
-/ tau from 1; the start itself is a / k. It is linear in both, and is the same in all experiments.
+/ tau from 1; the start itself is a / k. It is linear in both, and each experiment has an a of its
+own: nobody has measured how warm the wall was.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from workers.effects.laws import Law
 
 _DER: tuple[SiteKind, ...] = ("derivative",)
 _PAIR: tuple[SiteKind, ...] = ("pair",)
+_IN: tuple[SiteKind, ...] = ("input",)
 _OUT: tuple[SiteKind, ...] = ("output",)
 _SIGNAL: tuple[SiteKind, ...] = ("input", "output")
 
@@ -44,12 +47,19 @@ def _time(name: str, *steps: float) -> FormCoefficient:
 
 
 _EXCHANGE = FormCoefficient("k", positive=True, unit="site / v")
-_FIRST = FormCoefficient("a", unit="site")
+_FIRST = FormCoefficient("a", each=True, unit="site")
 """What is added at the start."""
 _TAU = _time("tau", 3.0, 15.0, 75.0)
 _STORE = OwnState("z", "(v - z) / tau", "v")
 _EMPTY = OwnState("z", "(v - z) / tau", "0")
+_SLOW = OwnState("y", "(v - y) / tau_slow", "v")
+_TWO = (
+    _EXCHANGE, replace(_EXCHANGE, name="k_slow"), _time("tau", 3.0, 12.0),
+    _time("tau_slow", 40.0, 150.0),
+)  # fmt: skip
 _DECAY = OwnState("e", "-e / tau", "1")
+_FREE = tuple(replace(c, positive=c.scale is not None) for c in _TWO)
+"""Of what is not drawn from the state itself: it may push either way."""
 
 _RESONANCE = (
     FormCoefficient("f", None, positive=True, scale=GridScale.SPECTRUM, grid=(1.0,),
@@ -59,31 +69,56 @@ _RESONANCE = (
 )  # fmt: skip
 """Of an oscillator that the residual shows: it rings where its spectrum has a peak."""
 _SWING = OwnState("y", "f * (v - z) - 2 * d * f * y", "0")
+_PARTS = (
+    FormCoefficient("a", unit="site / v"), FormCoefficient("b", unit="site / v"), *_RESONANCE,
+)  # fmt: skip
+"""What its way does and what its speed does."""
 
 _OWN = (FormCondition.OWN,)
+_FILLED = (FormCondition.AMOUNT, FormCondition.FROM_REST)
+"""Of a store that is empty at the start, where the state is not."""
 
 _AT_STATES = (
     EffectForm("store", "store", Law.STORE, _DER, "-k * (v - z)", (_EXCHANGE, _TAU), 1, (_STORE,),
          when=(FormCondition.STATE,), order=0.4),
     EffectForm("store_from_zero", "store", Law.STORE_FROM_ZERO, _DER,
          "-k * (v - z)", (_EXCHANGE, _TAU), 1, (_EMPTY,),
-         when=(FormCondition.OWN, FormCondition.AMOUNT, FormCondition.FROM_REST), order=0.35),
+         when=(*_OWN, *_FILLED), order=0.35),
     EffectForm("store_from_elsewhere", "store", Law.STORE_FROM_ELSEWHERE, _DER,
          "a * e - k * (v - z)", (_EXCHANGE, _FIRST, _TAU), 1, (_EMPTY, _DECAY),
          when=_OWN, order=0.5),
     EffectForm("two_stores", "store", Law.TWO_STORES, _DER, "-k * (v - z) - k_slow * (v - y)",
-         (_EXCHANGE, replace(_EXCHANGE, name="k_slow"), _time("tau", 3.0, 12.0),
-          _time("tau_slow", 40.0, 150.0)),
-         1, (_STORE, OwnState("y", "(v - y) / tau_slow", "v")), when=_OWN, order=0.6),
+         _TWO, 1, (_STORE, _SLOW), when=_OWN, order=0.6),
+    EffectForm("two_stores_from_zero", "store", Law.TWO_STORES_FROM_ZERO, _DER,
+         "-k * (v - z) - k_slow * (v - y)", _TWO, 1, (_EMPTY, replace(_SLOW, start="0")),
+         when=(*_OWN, *_FILLED), order=0.55),
     # a gut, a tank that runs out: full at the start, and nothing comes after
     EffectForm("emptying", "store", Law.DECAY, _DER, "a * e", (_FIRST, _TAU), 0, (_DECAY,),
          order=0.4),
+    # what lies between another signal and the state, if one lag is not enough
+    EffectForm("two_lags", "store", Law.TWO_LAGS, _DER, "k * z + k_slow * y", _FREE, 1,
+         (_STORE, _SLOW), when=(FormCondition.OTHER,), order=0.9, later=True),
+    # a mast that swings by a motor's torque and pulls at the body
+    EffectForm("driven_mode", "store", Law.RESONANCE, _DER, "a * z + b * y",
+         _PARTS, 1, (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,),
+         order=0.8),
     # a mass on a spring that hangs on a body: y is its speed, k / f its mass over the body's
     EffectForm("oscillator", "store", Law.ATTACHED_OSCILLATOR, _DER,
          "-k * (z + 2 * d * (v - y))", (_EXCHANGE, *_RESONANCE), 1,
          (OwnState("z", "f * (v - y)", "0"), OwnState("y", "f * z + 2 * d * f * (v - y)", "v")),
          when=(FormCondition.OWN, FormCondition.OSCILLATES), order=0.6),
-    # a wall between two rooms, a joint that creeps
+    # a wall between two rooms; it begins like one of them, or half way
+    EffectForm("store_between", "store", Law.STORE_BETWEEN, _PAIR, "-k * (v - z)",
+         (_EXCHANGE, replace(_EXCHANGE, name="back", unit="other / v"),
+          _time("tau", 3.0, 15.0, 75.0),
+          FormCoefficient("share", None, positive=True, scale=GridScale.SHARE, grid=(0.5,),
+                          unit="1"),
+          FormCoefficient("begin", None, positive=True, scale=GridScale.SHARE,
+                          grid=(0.0, 0.5, 1.0), held=True, unit="1")),
+         2, (OwnState("z", "(share * v + (1 - share) * w - z) / tau",
+                      "begin * v + (1 - begin) * w"),),
+         "back * (z - w)", when=(FormCondition.AROUND,), order=0.5),
+    # a joint that creeps
     EffectForm("store", "store", Law.STORE, _PAIR, "-k * (v - z)",
          (FormCoefficient("k", positive=True, unit="site / v"),
           FormCoefficient("back", positive=True, unit="other / v"), _TAU), 1, (_STORE,),
@@ -91,13 +126,14 @@ _AT_STATES = (
 )  # fmt: skip
 
 _AT_SIGNALS = (
+    EffectForm("store", "store", Law.STORE, _IN, "s - k * (v - z)",
+         (FormCoefficient("k", unit="site / v"), _TAU), 1, (_STORE,),
+         when=(FormCondition.FORCE,), order=0.4),
     EffectForm("lead", "lag", Law.LEAD, _SIGNAL, "s + k * (s - z)",
          (FormCoefficient("k", unit="1"), _TAU), 0, (OwnState("z", "(s - z) / tau", "s"),),
          order=0.6),
-    # a mode of vibration beside those of the model: a is what its way shows, b what its speed does
-    EffectForm("mode_feed_through", "store", Law.RESONANCE, _OUT, "s + a * z + b * y",
-         (FormCoefficient("a", unit="site / v"), FormCoefficient("b", unit="site / v"),
-          *_RESONANCE), 1,
+    # a mode of vibration beside those of the model
+    EffectForm("mode_feed_through", "store", Law.RESONANCE, _OUT, "s + a * z + b * y", _PARTS, 1,
          (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,), order=0.6),
 )  # fmt: skip
 

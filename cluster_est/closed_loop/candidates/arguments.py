@@ -22,9 +22,9 @@ ACTS = 1e-9
 """Share of a state's largest derivative below which something does not act on it."""
 
 
-FIRST_OF_READ = (Law.LINEAR, Law.SQUARE)
-"""Laws by which a parameter may follow an output at first: each is a simulation. Others are looked
-at where these lead."""
+FIRST_OF_READ = (Law.LINEAR, Law.SQUARE, Law.PRODUCT_WITH_SIGNAL, Law.STORE)
+"""Laws by which a parameter or an input may follow an output at first: each is a simulation. Others
+are looked at where these lead."""
 
 TIME = ""
 """The argument of what depends on time alone: a constant, a drift, a wave."""
@@ -78,7 +78,7 @@ class OpenArguments:
         For each output the inputs that act on it at once, and not by way of states: what is missing
         in such an output may be one more term of a balance.
     read
-        In co-simulation, the outputs that a parameter may follow.
+        In co-simulation, the outputs that a parameter or an input may follow.
     """
 
     states: tuple[str, ...]
@@ -113,6 +113,8 @@ class OpenArguments:
         if site.kind == "parameter":
             relative = dict.fromkeys(itertools.chain(*self.relative.values()))
             return [*names, *self.read, *relative]
+        if site.kind == "input":
+            names += self.read
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
     def around(self, site: EffectSite) -> list[tuple[str, str]]:
@@ -138,6 +140,10 @@ class OpenArguments:
         places = [x for x, v in self.speeds.items() if v in pushed and x in self.states]
         return [n for n in dict.fromkeys([*self.single(names), *places]) if n not in pushed]
 
+    def carriers(self, site: EffectSite) -> list[str]:
+        """Return what an exchange between a pair of states may grow with besides."""
+        return [n for n in (*self.driven, *self.states) if n not in site.targets]
+
     @cached_property
     def _of_one_unit(self) -> list[tuple[str, str]]:
         pairs = itertools.combinations(self.states, 2)
@@ -162,7 +168,7 @@ class OpenArguments:
             FormCondition.STATE: not state,
             FormCondition.DRIVEN: argument not in self.driven,
             FormCondition.FEEDS: argument not in self.feeds.get(site.target, ()),
-            FormCondition.FORCE: len(pushed) < 2 or not state,
+            FormCondition.FORCE: argument not in self.read and (len(pushed) < 2 or not state),
             FormCondition.POSITION: self.speeds.get(argument) not in pushed,
             FormCondition.NO_POSITION: argument in self.no_ways,
             FormCondition.OTHER: argument in pushed,
@@ -308,8 +314,12 @@ def variables_of(
     if FormCondition.AROUND in form.when:
         pairs = arguments.around(site)
         return [p for p in pairs if leading is None or difference(*p) in leading]
+    if FormCondition.EXCHANGE in form.when:
+        own = difference(*site.targets)
+        alike = own in arguments.between_states and (leading is None or own in leading)
+        return [(own, other) for other in arguments.carriers(site)] if alike else []
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
-    if leading is None and site.kind == "parameter" and form.law not in FIRST_OF_READ:
+    if leading is None and form.law not in FIRST_OF_READ and site.kind in ("parameter", "input"):
         names = [name for name in names if name not in arguments.read]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
@@ -318,7 +328,8 @@ def variables_of(
         return [(own, other) for own in arguments.pushed_by(site) for other in others]
     if FormCondition.FEEDS in form.when:
         names = [name for name in names if arguments.takes(form, site, name)]
-    return list(itertools.combinations(arguments.single(names), 2))
+    order = arguments.at(site).index
+    return list(itertools.combinations(sorted(arguments.single(names), key=order), 2))
 
 
 def open_places(

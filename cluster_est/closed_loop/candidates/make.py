@@ -56,6 +56,8 @@ class EffectCandidate:
         Values of its coefficients to look at, each a row; strengths that it is linear in are 0.
     lowest, highest
         Bounds of each coefficient for a refit.
+    experiments
+        Names of the training experiments, where a coefficient has a value of its own in each.
     """
 
     effect: Effect
@@ -65,6 +67,7 @@ class EffectCandidate:
     grid: tuple[tuple[float, ...], ...]
     lowest: tuple[float, ...] = field(repr=False)
     highest: tuple[float, ...] = field(repr=False)
+    experiments: tuple[str, ...] = field(default=(), repr=False)
 
     @cached_property
     def strengths(self) -> tuple[str, ...]:
@@ -80,17 +83,57 @@ class EffectCandidate:
         of = "" if self.own else ", ".join(self.effect.variables)
         return f"{self.form.name}{f'({of})' if of else ''} at {self.site}"
 
+    def counts(self, coefficients: Sequence[FormCoefficient]) -> list[int]:
+        """Return how many values each of some coefficients has: one, or one an experiment."""
+        return [len(self.experiments) if c.each else 1 for c in coefficients]
+
+    @property
+    def own_strengths(self) -> list[FormCoefficient]:
+        """The coefficients that are strengths, in their order."""
+        return [c for c in self.form.coefficients if c.name in self.strengths]
+
     def parameters(self, values: Sequence[float]) -> tuple[Parameter, ...]:
         """Its coefficients as parameters that start from these values."""
         made = []
-        for i, coefficient in enumerate(self.form.coefficients):
+        for i, (coefficient, own) in enumerate(self._divided(values)):
             low, high = self.lowest[i], self.highest[i]
-            start = float(min(max(values[i], low), high))
+            start = float(min(max(np.mean(own), low), high))
             strength, held = coefficient.name in self.strengths, coefficient.held
             scale: Scale = "linear" if strength or held or low <= 0.0 else "log"
             name = f"{self.effect.name}.{coefficient.name}"
-            made.append(Parameter(name, start, (low, high), scale, fixed=held))
+            per = "experiment" if coefficient.each else None
+            made.append(Parameter(name, start, (low, high), scale, fixed=held, per=per))
         return tuple(made)
+
+    def starts(self, values: Sequence[float]) -> dict[str, float]:
+        """The same values by label, where they are those of an experiment."""
+        return {
+            f"{self.effect.name}.{coefficient.name}[{experiment}]": value
+            for coefficient, own in self._divided(values)
+            if coefficient.each
+            for experiment, value in zip(self.experiments, own, strict=True)
+        }
+
+    def point(self, values: Sequence[float]) -> tuple[float, ...]:
+        """One value for each coefficient: of several, their mean."""
+        return tuple(float(np.mean(own)) for _, own in self._divided(values))
+
+    def sizes(self, values: Sequence[float]) -> list[float]:
+        """The values of the strengths, of some one an experiment."""
+        divided = self._divided(values)
+        return [v for c, own in divided if c.name in self.strengths for v in own]
+
+    def _divided(self, values: Sequence[float]) -> list[tuple[FormCoefficient, list[float]]]:
+        """Each coefficient with its value, or with those of all experiments.
+
+        One value for a coefficient alone holds in all of them.
+        """
+        coefficients, given = self.form.coefficients, iter(values)
+        alone = len(values) == len(coefficients)
+        return [
+            (c, [next(given)] * count if alone else [next(given) for _ in range(count)])
+            for c, count in zip(coefficients, self.counts(coefficients), strict=True)
+        ]
 
 
 def make_candidates(
@@ -123,6 +166,7 @@ def make_candidates(
     known = {_identity(e) for e in effects if e.form and not e.is_noise}
     taken = {effect.name for effect in effects}
     opened, leading = OpenSites(problem, description, trajectories, settings), by_site(places or ())
+    training = tuple(problem.experiments[e].id for e in problem.indices("train"))
     pairs = [site for site in leading if site.kind == "pair"]
     sites = opened.all if places is None else [*opened.single, *pairs]
     if beside:
@@ -135,6 +179,8 @@ def make_candidates(
                 if (str(site), form.name, tuple(sorted(variables))) in known:
                     continue
                 candidate = _candidate(form, site, variables, scales, taken, arguments)
+                if candidate and any(c.each for c in form.coefficients):
+                    candidate = replace(candidate, experiments=training)
                 if candidate:
                     taken.add(candidate.effect.name)
                     found.append(candidate)
@@ -223,6 +269,8 @@ def _bounds(
         return 0.125, 8.0
     if coefficient.scale is GridScale.DAMPING:
         return 0.001, 1.0
+    if coefficient.scale is GridScale.SHARE:
+        return 0.0, 1.0
     if coefficient.positive:
         low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:

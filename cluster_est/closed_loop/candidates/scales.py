@@ -67,7 +67,7 @@ class SignalScales:
         if scale is GridScale.SPECTRUM:
             return tuple(self.frequencies)
         grid = coefficient.grid or (1.0,)
-        if scale in (GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING):
+        if scale in _AS_THEY_ARE:
             return grid
         if scale is GridScale.ABSOLUTE_ZERO:
             above = _ABOVE_ZERO.get(self.units.get(variables[0], ""))
@@ -240,8 +240,12 @@ def oscillates(signal: FloatArray) -> bool:
 _ABOVE_ZERO = {"K": 0.0, "degC": 273.15, "Cel": 273.15, "\N{DEGREE SIGN}C": 273.15}
 """How far the zero of a unit of temperature lies above absolute zero."""
 _OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S, GridScale.FASTEST_S)
-_OF_SECOND = (GridScale.LOW_W, GridScale.HIGH_W)
-_ENDS = (GridScale.LOW_V, GridScale.HIGH_V, *_OF_SECOND)
+_OF_SECOND = (GridScale.LOW_W, GridScale.HIGH_W, GridScale.MAX_W)
+_ENDS = (GridScale.LOW_V, GridScale.HIGH_V, GridScale.LOW_W, GridScale.HIGH_W)
+_AS_THEY_ARE = (
+    GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING, GridScale.SHARE, GridScale.KELVIN,
+)  # fmt: skip
+"""Scales whose entries are the values, whatever the data are."""
 _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.MEAN_V: lambda v: v.mean(),
     GridScale.MEAN_ABSOLUTE_V: lambda v: np.abs(v).mean(),
@@ -251,6 +255,7 @@ _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.LOW_W: lambda w: np.quantile(w, 0.01),
     GridScale.HIGH_W: lambda w: np.quantile(w, 0.99),
     GridScale.MAX_V: lambda v: np.abs(v).max(),
+    GridScale.MAX_W: lambda w: np.abs(w).max(),
     GridScale.MAX_S: lambda s: np.abs(s).max(),
     GridScale.RMS_V: lambda v: np.sqrt(np.mean(v**2)),
 }

@@ -155,7 +155,9 @@ def _describe(
     won, rivals = found.rivals.get(name, (None, []))
     coefficients = tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
     period = period_of(candidate, found.current)
-    named = namer.name(candidate, [e.value for e in coefficients], curve)
+    labels = [f"{name}.{c.name}" for c in candidate.form.coefficients]
+    known = [[e.value for e in coefficients if e.parameter == label] for label in labels]
+    named = namer.name(candidate, [float(np.mean(own)) for own in known], curve)
     also = _agreeing(fitter, result, namer, named, curve)
     return NamedEffect(
         effect=candidate.effect,
@@ -225,7 +227,7 @@ def _alternatives(
                 output=output,
                 time=when,
                 difference=size,
-                words=namer.name(other, rival.fitted.coefficients(other), None).words,
+                words=namer.name(other, other.point(rival.fitted.coefficients(other)), None).words,
             )
         )
     return tuple(made)
@@ -297,7 +299,9 @@ def sentence_of(
     """Return what was found in a sentence or two."""
     said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
     told = [e for e in coefficients if e.estimated_on != "known"]  # a width may have been held
-    values = [] if candidate.form.free else [_value(candidate, e) for e in told]
+    values = [_value(candidate, e) for e in told if e.label == e.parameter]
+    values += [f"{c.name} for each experiment" for c in candidate.form.coefficients if c.each]
+    values = [] if candidate.form.free else values
     if values:
         said += f", with {in_a_row(values)}"
     if math.isfinite(period):

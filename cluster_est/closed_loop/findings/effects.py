@@ -326,6 +326,7 @@ def config_block(effect: NamedEffect) -> str:
         name, fixed = effect.coefficient(estimate), estimate.estimated_on == "known"
         bounds = () if fixed else (estimate.lower, estimate.upper)
         section = _section(estimate.value, neutral.get(name), bounds, estimate.scale, fixed=fixed)
+        section |= {"per": "experiment"} if estimate.label != estimate.parameter else {}
         sections[name] = section | ({"unit": estimate.unit} if estimate.unit else {})
     return _block(effect.effect, sections)
 

@@ -52,9 +52,14 @@ class CandidatePoint:
     values: tuple[float, ...]
 
     @property
-    def width(self) -> int:
-        """Number of columns of its direction: one for each strength, or one finite change."""
+    def columns(self) -> int:
+        """Number of its signals: one for each strength, or one finite change."""
         return max(1, len(self.candidate.strengths))
+
+    @property
+    def width(self) -> int:
+        """Number of columns of its direction: of some strengths one an experiment."""
+        return max(1, sum(self.candidate.counts(self.candidate.own_strengths)))
 
 
 def directions(
@@ -85,8 +90,25 @@ def directions(
         heard = partial(_hear, told, e * count, whole)
         parts.append(_of_trajectory(trajectory, trials, values, kept, heard))
     joined = np.concatenate(parts)
-    ends = np.cumsum([0, *(trial.width for trial in trials)])
-    return [joined[:, a:b] for a, b in pairwise(ends)]
+    ends = np.cumsum([0, *(trial.columns for trial in trials)])
+    whose = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    return [
+        by_experiment(trial, joined[:, a:b], whose)
+        for trial, (a, b) in zip(trials, pairwise(ends), strict=True)
+    ]
+
+
+def by_experiment(trial: CandidatePoint, columns: FloatArray, whose: IntArray) -> FloatArray:
+    """(residuals, width): give strengths that have a value an experiment a column for each.
+
+    `whose` are the experiments of the residuals.
+    """
+    own = trial.candidate.own_strengths
+    if not any(c.each for c in own):
+        return columns
+    apart = whose[:, None] == np.arange(len(trial.candidate.experiments))
+    parts = zip(own, columns.T[:, :, None], strict=True)
+    return np.hstack([np.where(apart, column, 0.0) if c.each else column for c, column in parts])
 
 
 def _hear(told: Told, before: int, of: int, done: int) -> None:
@@ -115,12 +137,12 @@ def _of_trajectory(
     block: list[CandidatePoint] = []
     columns = 0
     for done, trial in enumerate(trials):
-        if block and columns + trial.width > most:
+        if block and columns + trial.columns > most:
             found.append(_of_block(trajectory, system, block, known)[kept])
             told(done)
             block, columns = [], 0
         block.append(trial)
-        columns += trial.width
+        columns += trial.columns
     if block:
         found.append(_of_block(trajectory, system, block, known)[kept])
     return np.hstack(found)
@@ -132,11 +154,11 @@ def _of_block(
     trials: Sequence[CandidatePoint],
     known: FloatArray,
 ) -> FloatArray:
-    changes = _Changes(trajectory, sum(trial.width for trial in trials))
+    changes = _Changes(trajectory, sum(trial.columns for trial in trials))
     first = 0
     for trial in trials:
-        columns = np.arange(first, first + trial.width)
-        first += trial.width
+        columns = np.arange(first, first + trial.columns)
+        first += trial.columns
         site, shape = trial.candidate.site, shape_of(trial.candidate.form)
         if not changes.sees(site):
             continue
@@ -222,7 +244,7 @@ class _Changes:
 def added_at(
     trajectory: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray
 ) -> FloatArray:
-    """(n, width): what the effect adds at its site; relative at a parameter in co-simulation."""
+    """(n, columns): what the effect adds at its site; relative at a parameter in co-simulation."""
     arguments, values = _arguments(trajectory, trial, known)
     return shape_of(trial.candidate.form).directions(arguments, values)
 
@@ -275,13 +297,16 @@ def probe(
         asked.append((space, points))
         amounts.append(steps)
     found = []
+    rows = fitted.space.rows
+    whose = np.repeat(np.arange(len(rows)), [own.stop - own.start for own in rows])
     answers = fitter.evaluate(LoopStage.PROBE, asked)
     for trial, steps, seen in zip(trials, amounts, answers, strict=True):
         columns = [
             (at.residuals - fitted.residuals) / step if at.ok else np.zeros(fitter.size)
             for at, step in zip(seen, steps, strict=True)
         ]
-        found.append(np.column_stack(columns).reshape(fitter.size, trial.width))
+        moved = np.column_stack(columns).reshape(fitter.size, trial.columns)
+        found.append(by_experiment(trial, moved, whose))
     return found
 
 
@@ -334,7 +359,7 @@ def _point(
     """The fit's point with the effect's coefficients behind it."""
     names = [c.name for c in trial.candidate.form.coefficients]
     own = [
-        u.to_search(float(row[names.index(u.label.rpartition(".")[2])]))
+        u.to_search(float(row[names.index(u.parameter.name.rpartition(".")[2])]))
         for u in unknowns[len(fitted.x) :]
     ]
     return np.concatenate([fitted.x, own])

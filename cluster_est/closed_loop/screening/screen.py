@@ -358,8 +358,9 @@ def _beside(
     places: dict[CandidatePlace, None] = {}
     for i in np.argsort(-rank, kind="stable").tolist():
         candidate = seen.trials[i].candidate
-        if len(places) < most and scores.df[i] and candidate.form.variables == 1:
-            places[CandidatePlace(candidate.site, *candidate.effect.variables)] = None
+        if len(places) < most and scores.df[i]:
+            names = candidate.effect.variables
+            places |= dict.fromkeys(CandidatePlace(candidate.site, name) for name in names)
     known = {trial.candidate.effect: trial.candidate for trial in seen.trials}
     given = (fitted.problem, fitter.description, trajectories, ())
     beside = list(known.values())

@@ -191,7 +191,8 @@ def p_without(fitter: Fitter, model: FittedModel, position: int, degrees: float)
     (refitted,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
     if refitted is None:
         return 0.0
-    strengths = max(len(model.added[position].strengths), 1)
+    added = model.added[position]
+    strengths = max(sum(added.counts(added.own_strengths)), 1)
     degrees = degrees if np.isfinite(degrees) else float(fitter.size - len(model.x))
     more = max(refitted.sse - model.sse, 0.0)
     return float(fdtrc(strengths, degrees, degrees * more / (strengths * model.sse)))
@@ -208,13 +209,15 @@ def strength_p(
     confidence interval makes.
 
     Effects of one site and argument share a test. Where the data do not determine one of the
-    strengths it is 1; where there is none, or each is at a bound that is not zero, it is 0.
+    strengths, or one has a value an experiment, it is 1, for a refit without the effect to tell;
+    where there is none, or each is at a bound that is not zero, it is 0.
     """
     labels = [unknown.label for unknown in space.unknowns]
+    parameters = [unknown.parameter.name for unknown in space.unknowns]
     places: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for each in added:
         names = [f"{each.effect.name}.{strength}" for strength in each.strengths]
-        own = [labels.index(name) for name in names if name in labels]
+        own = [i for i, name in enumerate(parameters) if name in names]
         places.setdefault((str(each.site), each.effect.variables), []).extend(own)
     found = {place: _joint_p(own, labels, x, known) for place, own in places.items()}
     return [found[str(each.site), each.effect.variables] for each in added]

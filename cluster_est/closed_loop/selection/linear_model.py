@@ -213,7 +213,7 @@ class AskedStep:
         moved = current.x + np.clip(length * self.step, -most, most)
         point = np.concatenate([moved, space.start[known:]])
         for i, unknown in enumerate(space.unknowns[known:], known):
-            if unknown.label.rpartition(".")[2] in self.trial.candidate.strengths:
+            if unknown.parameter.name.rpartition(".")[2] in self.trial.candidate.strengths:
                 point[i] = length * space.start[i]
         return np.asarray(np.clip(point, space.lower, space.upper))
 
@@ -338,18 +338,20 @@ def is_proportional(trial: CandidatePoint) -> bool:
 
 
 def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
-    """The trial's coefficients, as strong as the linear model asks for.
+    """The trial's coefficients, of some one an experiment, as strong as the linear model asks for.
 
     Where an effect is switched on by a finite amount, that amount is scaled, within limits.
     """
     asked = iter(strengths.tolist())
     values = []
-    for c, value in zip(trial.candidate.form.coefficients, trial.values, strict=True):
+    coefficients = trial.candidate.form.coefficients
+    counts = trial.candidate.counts(coefficients)
+    for c, value, count in zip(coefficients, trial.values, counts, strict=True):
         if c.name in trial.candidate.strengths:
-            values.append(next(asked))
+            values += [next(asked) for _ in range(count)]
         elif c.neutral == 0.0 and strengths.size:
             weakest, strongest = SCALED_BY
             values.append(value * min(max(next(asked), weakest), strongest))
         else:
-            values.append(value)
+            values += [value] * count
     return values

@@ -116,10 +116,9 @@ def starts_in_its_place(
     """
     fitted = best.fitted
     name, values = best.candidate.effect.name, fitted.coefficients(best.candidate)
-    own = CandidatePoint(best.candidate, tuple(values))
+    own = CandidatePoint(best.candidate, best.candidate.point(values))
     columns = candidate_columns(fitter, fitted, _before(fitter, current, best), [own, *trials])
-    strengths = [v for c, v in zip(own.candidate.form.coefficients, values, strict=True)
-                 if c.name in own.candidate.strengths]  # fmt: skip
+    strengths = best.candidate.sizes(values)
     target = columns[0] @ np.array(strengths or [1.0]) - fitted.residuals
     labels = [unknown.label for unknown in fitted.space.unknowns]
     others = [i for i, label in enumerate(labels) if not label.startswith(f"{name}.")]

@@ -74,6 +74,7 @@ PLACES = {
     TRAVEL: lambda x: x[0] - x[2],
     (): lambda x: x[1] - x[3],
     ("v_wheel",): lambda x: x[3],
+    (*TRAVEL, "v_wheel"): lambda x: (x[0] - x[2], x[3]),
     ("z_body", "z_wheel"): lambda x: (x[0], x[2]),
 }
 
@@ -122,6 +123,19 @@ def test_a_spring_and_a_damper_in_series_between_two_states(simulated, without):
     assert np.abs(truth - without).max() > 3e-3
     effect = Effect("e", "pair v_body,v_wheel", "store", TRAVEL)
     np.testing.assert_allclose(simulated(effect, (30.0, 220.0, 0.2)), truth, atol=1e-6)
+
+
+def test_a_wall_between_two_states(simulated, without):
+    """A mass of 2 between two dampers of 6 and 4: what each takes follows from Newton's law."""
+
+    def force(x):
+        return -6.0 * (x[1] - x[4]), 4.0 * (x[4] - x[3])
+
+    truth = solved(force, lambda x: (6.0 * (x[1] - x[4]) - 4.0 * (x[4] - x[3])) / 2.0)
+    assert np.abs(truth - without).max() > 3e-3
+    effect = Effect("e", "pair v_body,v_wheel", "store_between", ("v_body", "v_wheel"))
+    coefficients = (6.0, 4.0, 2.0 / 10.0, 6.0 / 10.0, 0.5)
+    np.testing.assert_allclose(simulated(effect, coefficients), truth, atol=1e-6)
 
 
 def test_an_equation_of_ones_own_with_a_reaction(simulated, without):

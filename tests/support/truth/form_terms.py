@@ -68,6 +68,14 @@ def _cut(s: Any, t: Any, k: float, width: float) -> Any:
     return s / (1.0 + np.exp(-2.0 * (abs(s) - k) / width))
 
 
+def _powers(v: Any, w: Any, k: float, m: float, n: float, ref: float, other: float) -> Any:
+    return k * np.sign(v) * abs(v / ref) ** m * abs(w / other) ** n
+
+
+def _activated(v: Any, k: float, energy: float, at: float, zero: float) -> Any:
+    return k * np.exp(energy / (at + zero)) / np.exp(energy / (v + zero))
+
+
 def _fourth_powers(v: Any, w: Any, k: float, zero: float) -> Any:
     return -k * ((v + zero) ** 4 - (w + zero) ** 4)
 
@@ -94,6 +102,8 @@ DERIVATIVE: dict[str, tuple[tuple[float, ...], str, Callable[..., Any]]] = {
     "switch": ((0.4, 0.02), "x", lambda v, k, width: k * np.tanh(v / width)),
     "square": ((9.0,), "x", lambda v, k: k * v**2),
     "product": ((0.1,), "x F", lambda v, w, k: k * v * w),
+    "power_product": ((-2.0, 1.4, 1.2, 0.1, 3.0), "x F", _powers),
+    "arrhenius": ((0.5, 0.9, 0.1, 3.0), "x", _activated),
     "hinge": ((-50.0, 0.05), "x", lambda v, k, at: k * np.maximum(v - at, 0.0)),
     "hinge_below": ((50.0, 0.02), "x", lambda v, k, at: k * np.maximum(at - v, 0.0)),
     "gap": ((40.0, 0.04), "x", _gap),
@@ -167,6 +177,7 @@ PARAMETER: dict[str, tuple[tuple[float, ...], str, Callable[..., Any]]] = {
     "inverse": ((0.5, 0.1), "v", lambda t, v: 1.0 / (1.0 + 0.5 * (v - 0.1)) - 1.0),
     "inverse_square": ((3.0, 0.02), "v", lambda t, v: 1.0 / (1.0 + 3.0 * (v**2 - 0.02)) - 1.0),
     "power": ((0.5, 0.1), "v", lambda t, v: (abs(v) / 0.1) ** 0.5 - 1.0),
+    "offset_power": ((0.8, 1.5, 0.1), "v", lambda t, v: 0.8 * ((abs(v) / 0.1) ** 1.5 - 1.0)),
     "exponential": ((1.5, 0.1), "v", lambda t, v: np.exp(1.5 * (v - 0.1)) - 1.0),
     "saturating": ((0.8, 0.1), "v", lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
     "hill_power": ((0.8, 0.1, 3.0), "v", lambda t, v: -0.8 * _sigmoid(v, 0.1, 3.0)),
@@ -202,6 +213,11 @@ PAIR = {
         ("z_body", "z_wheel"),
         lambda v: (v[0] + 0.2) ** 4 - (v[1] + 0.2) ** 4,
     ),
+    "power_times": (
+        (2.0, 15.0, 1.4, 0.5),
+        (*TRAVEL, "v_wheel"),
+        lambda v: v[0] * (abs(v[1]) / 0.5) ** 1.4,
+    ),
     "coulomb": ((0.3, 2.2, 0.05), (), lambda v: np.tanh(v / 0.05)),
     "leak": ((1.0, 7.5), ("v_wheel",), lambda v: np.sign(v) * np.sqrt(abs(v))),
 }
@@ -215,6 +231,7 @@ OWN_TESTS = {
     ("input", "rate_limit_from_rest"): "test_a_limited_rate_of_an_input",
     ("output", "hysteresis"): "test_hysteresis_of_a_sensor",
     ("pair", "store"): "test_a_spring_and_a_damper_in_series_between_two_states",
+    ("pair", "store_between"): "test_a_wall_between_two_states",
 }
 """Forms that need more than a truth below: their tests in `tests/integration/effects`."""
 
@@ -333,6 +350,17 @@ def _rubbed(t: float, x: np.ndarray, f: float) -> list[float]:
 def _pulled(t: float, x: np.ndarray, f: float) -> list[float]:
     v, dv = plain(t, x, f)
     return [v, dv - 6.0 * x[2], (x[0] - x[2]) / 0.3]
+
+
+def _pulled_twice(t: float, x: np.ndarray, f: float) -> list[float]:
+    v, dv = plain(t, x, f)
+    return [v, dv - 6.0 * x[2] + 4.0 * x[3], (x[0] - x[2]) / 0.1, (x[0] - x[3]) / 0.9]
+
+
+def _shaken(t: float, x: np.ndarray, f: float) -> list[float]:
+    """By a mast that swings with the force."""
+    v, dv = plain(t, x, f)
+    return [v, dv + 0.4 * x[2] - 0.3 * x[3] / 12.0, x[3], _swing(f, x[2], x[3], 12.0, 0.3)]
 
 
 def _lagged(t: float, x: np.ndarray, f: float) -> list[float]:
@@ -478,6 +506,33 @@ STORED: list[FormTruth] = [
         ("x",),
         partial(_first, _relaxing((6.0, 0.1), (4.0, 0.9)), 0.0, 0.0),
         1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "two_stores_from_zero",
+        (6.0, 4.0, 0.1, 0.9),
+        ("x",),
+        partial(_first, _relaxing((6.0, 0.1), (4.0, 0.9)), 6.0 * START[0], 4.0 * START[0]),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "two_lags",
+        (-6.0, 4.0, 0.1, 0.9),
+        ("x",),
+        partial(_first, _pulled_twice, START[0], START[0]),
+        1e-8,
+    ),
+    FormTruth(
+        "derivative",
+        "driven_mode",
+        (0.4, -0.3, 12.0, 0.3),
+        ("F",),
+        partial(_first, _shaken, 0.0, 0.0),
+        1e-7,
+    ),
+    FormTruth(
+        "input", "store", (6.0, 0.3), ("x",), partial(_first, _relaxing((6.0 / M, 0.3)), 0.0), 1e-8
     ),
     FormTruth(
         "derivative",

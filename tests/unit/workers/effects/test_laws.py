@@ -92,9 +92,14 @@ CLAIMS: dict[Law, Callable[[Function, Values], bool]] = {
     Law.HILL: lambda f, c: is_affine(lambda u: 1.0 / f(1.0 / np.sqrt(u))),
     Law.HILL_POWER: lambda f, c: {"n", "half"} <= set(c)
     and is_affine(lambda u: 1.0 / f(u ** (-1.0 / c["n"]))),
-    Law.ARRHENIUS: lambda f, c: "zero" in c and is_affine(
-        lambda u: np.log(f(1.0 / u - c["zero"]) + 1.0)
+    Law.ARRHENIUS: lambda f, c: "zero" in c
+    and any(
+        is_affine(lambda u, one=one: np.log(f(1.0 / u - c["zero"]) + one)) for one in (0.0, 1.0)
     ),
+    Law.OFFSET_POWER: lambda f, c: is_other_power(lambda x: f(x) - f(0.0 * x))
+    and not same(f(0.0 * X), 0.0)
+    and not is_other_power(lambda x: f(x) + 1.0)
+    and same(f(X), f(-X)),
     Law.CUT_OFF: lambda f, c: ends_as_it_is(f)
     and bool(np.abs(f(0.3 * c.get("at", 0.0) * np.linspace(-1.0, 1.0, 9))).max() < 1e-6),
     Law.ABOVE: lambda f, c: is_ramp(f, c.get("at", 0.0), 1.0),
@@ -142,6 +147,7 @@ STATES = {
     Law.FIRST_ORDER_LAG: (("s",), "s"), Law.FIRST_ORDER_LAG_FROM_ZERO: (("0",), "s"),
     Law.STORE: (("v",), "v"), Law.STORE_FROM_ZERO: (("0",), "v"),
     Law.STORE_FROM_ELSEWHERE: (("0", "1"), "v"), Law.TWO_STORES: (("v", "v"), "v"),
+    Law.TWO_STORES_FROM_ZERO: (("0", "0"), "v"), Law.TWO_LAGS: (("v", "v"), "v"),
     Law.DECAY: (("1",), "0"), Law.RESONANCE: (("0", "0"), "v"), Law.LEAD: (("s",), "s"),
     Law.SECOND_ORDER_LAG: (("s", "0"), "s"), Law.SECOND_ORDER_LAG_FROM_ZERO: (("0", "0"), "s"),
 }  # fmt: skip
@@ -219,10 +225,14 @@ def test_a_law_of_two_variables(form):
         assert same(fourth, fourth[0])
         assert not same(fourth, 0.0)
         return
-    laws = {Law.PRODUCT: Law.LINEAR, Law.SWITCH_BY_MAGNITUDE: Law.ABSOLUTE}
-    switch = {Law.PRODUCT: Law.LINEAR, Law.SWITCH_BY_MAGNITUDE: Law.SWITCH}
-    assert true_of(lambda x: f(2.0 + 0.0 * x, x), {}) == {laws[form.law]}
-    assert true_of(lambda x: f(x, 2.0 + 0.0 * x), coefficients(form)) == {switch[form.law]}
+    of_first, of_second = {
+        Law.PRODUCT: (Law.LINEAR, Law.LINEAR),
+        Law.PRODUCT_OF_POWERS: (Law.POWER, Law.POWER),
+        Law.TIMES_POWER: (Law.LINEAR, Law.POWER),
+        Law.SWITCH_BY_MAGNITUDE: (Law.SWITCH, Law.ABSOLUTE),
+    }[form.law]
+    assert true_of(lambda x: f(2.0 + 0.0 * x, x), {}) == {of_second}
+    assert true_of(lambda x: f(x, 2.0 + 0.0 * x), coefficients(form)) == {of_first}
 
 
 @pytest.mark.parametrize("form", having(lambda f: bool(f.states) and f.law in STATES))
@@ -251,6 +261,21 @@ def test_a_law_of_a_state(form):
     else:
         assert same(rate(s, s, v), v)
         assert true_of(lambda z: moved(z, 0.0), coefficients(form)) == {Law.PERIODIC}
+
+
+def test_a_store_between_two_settles_between_them():
+    """Where it settles, it gives to the one what it takes from the other, but for their sizes."""
+    form = FORMS["pair", "store_between"]
+    (state,) = form.states
+    v, w, c = X, X[::-1], coefficients(form)
+    settled = c["share"] * v + (1.0 - c["share"]) * w
+    assert same(read(form, state.derivative, "z", "v", "w")(settled, v, w), 0.0)
+    begun = read(form, state.start, "v", "w")(v, w)
+    assert same(begun, c["begin"] * v + (1.0 - c["begin"]) * w)
+    here = read(form, form.equation, "z", "v", "w")(settled, v, w)
+    there = read(form, form.reaction, "z", "v", "w")(settled, v, w)
+    assert same(here, -c["k"] * (1.0 - c["share"]) * (v - w))
+    assert same(there, c["back"] * c["share"] * (v - w))
 
 
 @pytest.mark.parametrize("form", having(lambda f: f.law is Law.ATTACHED_OSCILLATOR))

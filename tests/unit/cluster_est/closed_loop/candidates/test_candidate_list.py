@@ -177,10 +177,36 @@ def test_what_is_measured_is_a_site_whatever_its_causality(interface):
 def test_in_co_simulation_states_are_out_of_reach():
     found = listed(missing_effect_problem("battery", interface="co_simulation"))
     assert {c.site.kind for c in found} == {"input", "output", "parameter"}
-    followed = {n for c in found if c.site.kind == "parameter" for n in c.effect.variables}
-    assert followed == {"current", "extra", "voltage"}
-    others = {n for c in found if c.site.kind != "parameter" for n in c.effect.variables}
-    assert others == {"current", "extra"}
+    followed = {
+        kind: {n for c in found if c.site.kind == kind for n in c.effect.variables}
+        for kind in ("parameter", "input", "output")
+    }
+    known = {"current", "extra"}
+    own = {"extra", "voltage"}
+    assert followed == {"parameter": {*known, "voltage"}, "input": own, "output": known}
+
+
+def test_what_a_model_shows_may_flow_back_to_an_input_that_it_has_in_co_simulation():
+    """A leak, a loss in proportion to both, and a hidden store: others where these lead."""
+    found = keyed(listed(missing_effect_problem("battery", interface="co_simulation")))
+    laws = {form for site, form, v in found if site == "input current" and v == ("voltage",)}
+    assert laws == {"linear", "product", "store"}
+    exchange = keyed(all_of("battery", ()))
+    assert not any(site == "input current" and v == ("voltage",) for site, _, v in exchange)
+
+
+def test_stores_of_amounts_in_a_row_may_begin_empty():
+    tanks = {(str(c.site), c.form.name) for c in all_of("cascaded_tanks", ())}
+    assert {("der(h1)", "two_stores_from_zero"), ("pair h1,h2", "store_between")} <= tanks
+    warm = {c.form.name for c in all_of("kiln", ())}
+    assert {"two_stores", "store_between"} <= warm
+    assert "two_stores_from_zero" not in warm
+
+
+def test_an_exchange_between_two_states_may_grow_with_anything_else():
+    found = [c for c in all_of("kiln") if c.form.name == "power_times"]
+    assert {c.effect.variables[0] for c in found} == {"T_plate - T_charge"}
+    assert {"power", "T_ambient", "extra"} <= {c.effect.variables[1] for c in found}
 
 
 def test_settings_choose_forms_and_sites():

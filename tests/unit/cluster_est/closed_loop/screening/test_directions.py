@@ -1,6 +1,7 @@
 """Directions of candidates beside what contracts say of each form: adjoints, co-simulation."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -149,3 +150,41 @@ def test_in_co_simulation_a_direction_is_what_simulations_by_hand_say(probed, ke
     # a limit is met between communication points, where the FMU sees a straight line
     bar = 0.03 if finite else 0.01
     assert np.linalg.norm(column) == pytest.approx(np.linalg.norm(expected), rel=bar)
+
+
+def test_what_differs_from_experiment_to_experiment_has_a_column_for_each():
+    """Beside a store's exchange, which all share, what its start adds is that of a decay alone."""
+    problem = missing_effect_problem("cascaded_tanks", experiments=3)
+    seen = Screened(problem, forms=("store_from_elsewhere", "emptying"), sites=("der(h1)",))
+    (store,) = (t for t in seen.trials if t.candidate.effect.variables == ("h1",))
+    (decay,) = (t for t in seen.trials if t.candidate.form.name == "emptying")
+    training = problem.indices("train")
+    assert store.candidate.experiments == tuple(problem.experiments[e].id for e in training)
+    assert (store.width, decay.width) == (1 + len(training), len(training))
+    both, alone = seen.directions([store, decay])
+    np.testing.assert_allclose(both[:, 1:], alone, atol=1e-9 * np.abs(alone).max())
+    ends = np.cumsum([0, *(len(run.rows) for run in seen.runs)])
+    for e, (first, last) in enumerate(pairwise(ends)):
+        assert np.abs(alone[first:last, e]).max() > 0.0
+        assert not alone[:first, e].any()
+        assert not alone[last:, e].any()
+    assert all(both[first:last, 0].any() for first, last in pairwise(ends))
+
+
+def test_values_of_single_experiments_are_unknowns_of_their_own():
+    problem = missing_effect_problem("cascaded_tanks", experiments=3)
+    with opened(problem) as bench:
+        fitted = unfitted(bench)
+        runs = bench.fitter.trajectories(fitted)
+        settings = LoopSettings(forms=("store_from_elsewhere",), sites=("der(h1)",))
+        given = (bench.fitter.description, runs, [], settings)
+        found = make_candidates(problem, *given)
+        (store,) = (c for c in found if c.effect.variables == ("h1",))
+        values = [0.01, *(0.1 * n for n, _ in enumerate(store.experiments, 1)), 30.0]
+        start = fitted.start.plus(store, values)
+        grown = unfitted(bench, start)
+    assert grown.coefficients(store) == pytest.approx(values)
+    labels = [f"{store.effect.name}.a[{name}]" for name in store.experiments]
+    assert set(labels) <= set(grown.estimates)
+    assert store.sizes(values) == values[:-1]
+    assert store.point(values) == pytest.approx((0.01, float(np.mean(values[1:-1])), 30.0))
