@@ -222,8 +222,8 @@ class Merging:
     curves, named
         What may take their place, refitted to the declared model: free curves, once they have been
         looked for, and forms of the library of the argument of the best of them.
-    fine
-        Finer curves have been refitted too, where those led on.
+    fine, switched
+        Finer curves have been refitted too, where those led on, and those of a switch.
     done
         An effect has taken their place.
     """
@@ -232,13 +232,14 @@ class Merging:
     curves: list[RefittedCandidate] | None = None
     named: list[RefittedCandidate] = field(default_factory=list)
     fine: bool = False
+    switched: bool = False
     done: bool = False
 
     def note(self, begun: RoundStart, end: RoundEnd) -> None:
         """Note the first round, and curves that have been tried there and did not pass."""
         self.first = self.first or replace(begun, screening=begun.screening.without_bases())
         if not begun.model.added and any(c.candidate.form.free for c in end.compared):
-            self.curves, self.fine = [], True
+            self.curves, self.fine, self.switched = [], True, True
 
     def instead(
         self, fitter: Fitter, now: AcceptedStructure, *, whole: bool = False
@@ -292,13 +293,17 @@ class Merging:
             self.named = refit_named(fitter, first, self.curves)
         early = whole and len(current.added) < 2
         gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
+        coarse: list[RefittedCandidate] = []
         if not self.fine and gains and not early:
-            if not whole and not can_be_claimed(first, current):
-                self.curves += switched_curves(fitter, first)
+            coarse, self.fine = list(self.curves), True
+        if not self.switched and gains and not whole and not can_be_claimed(first, current):
+            switched, self.switched = switched_curves(fitter, first), True
+            self.curves += switched
+            coarse += switched
+        if coarse:
             bound = first.bound(criterion=current.criterion(fitter.records))
-            self.curves += finer_curves(fitter, first, self.curves, bound)
+            self.curves += finer_curves(fitter, first, coarse, bound)
             self.curves.sort(key=lambda c: c.criterion)
-            self.fine = True
         return self.curves
 
 

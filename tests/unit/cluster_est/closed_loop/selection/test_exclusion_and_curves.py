@@ -14,9 +14,15 @@ from support.loop_objects import (
     made_start,
 )
 
+from cluster_est.closed_loop.selection import free_curves
 from cluster_est.closed_loop.selection.gates import reason_to_stop
 from cluster_est.closed_loop.selection.moves import exclude
-from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundEnd, SelectionRound
+from cluster_est.closed_loop.selection.rounds import (
+    AcceptedStructure,
+    RejectionReason,
+    RoundEnd,
+    SelectionRound,
+)
 from cluster_est.closed_loop.settings import LoopPart
 
 PROBLEM = made_problem(100)
@@ -92,3 +98,25 @@ def test_something_may_be_added_to_a_curve_that_leaves_more_than_its_own_error(s
     curve = made_candidate("curve", "table")
     begun = begun_at(fit_with_squares(PROBLEM, squares, (curve,)))
     assert reason_to_stop(begun) is reason
+
+
+def test_curves_of_a_switch_are_looked_for_after_the_others_have_been_refined(monkeypatch):
+    """What leaves noise is asked for first; what leaves more, when the search has nothing else."""
+    made = {
+        name: made_refit(fit_with_squares(PROBLEM, NOTHING, (made_candidate(name, "table"),)), 1e9)
+        for name in ("curve", "finer", "switched")
+    }
+    monkeypatch.setattr(free_curves, "coarse_curves", lambda *_: [made["curve"]])
+    monkeypatch.setattr(free_curves, "switched_curves", lambda *_: [made["switched"]])
+    monkeypatch.setattr(free_curves, "refit_named", lambda *_: [])
+    monkeypatch.setattr(free_curves, "finer_curves", lambda *_: [made["finer"]])
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG, RIGHT)))
+    merging = free_curves.Merging(begun)
+    now = AcceptedStructure(begun.model, begun.prediction)
+    seen = []
+    for whole in (True, False, False):
+        assert merging.instead(KnownFits({}), now, whole=whole) is None
+        seen.append([curve.candidate.effect.name for curve in merging.curves])
+    assert sorted(seen[0]) == ["curve", "finer"]
+    assert sorted(seen[1]) == ["curve", "finer", "finer", "switched"]
+    assert seen[2] == seen[1]
