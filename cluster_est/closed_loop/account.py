@@ -427,7 +427,7 @@ def _completed(
 
 NOT_THE_LAST = (
     "the fits are those of the search, which are not refined any more, and nothing was looked for "
-    "beyond these effects; --resume goes on"
+    "beyond these effects; --resume continues the run"
 )
 
 

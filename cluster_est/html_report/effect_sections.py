@@ -332,7 +332,7 @@ def _rivals(effect: Row) -> Block:
     others = effect.get("alternatives") or []
     if not others:
         return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
-    names = ("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
+    names = ("cannot be distinguished", "equation", "#criterion", "differ most at", "#by")
     chosen = f"{effect['words']} at {effect['site']} (chosen)"
     lines: list[TableLine] = [(chosen, code(effect["equation"]), "0", "", "")]
     for other in others:

@@ -182,7 +182,7 @@ def stiffness(subject: CheckSubject) -> list[CheckFinding]:
     if found:
         said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
         return [note("stiffness", said, 'model.solver = "cvode"')]
-    return [passed("stiffness", f"not stiff: {model.solver.name} suits it")]
+    return [passed("stiffness", f"not stiff; {model.solver.name} is suitable")]
 
 
 def derivatives(subject: CheckSubject) -> list[CheckFinding]:

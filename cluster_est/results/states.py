@@ -14,10 +14,10 @@ from cluster_est.results.solver_error.measure import positions_of_few, simulate_
 from cluster_est.running.resources import Resources
 from workers.messages import Experiment, FloatArray, Output
 
-MOST_VALUES = 1_000_000
+MOST_KEPT = 1_000_000
 """Values of all states that are kept: 8 MB. Of more, every n-th measured time."""
-
-
+MOST_RECORDED = 20_000_000
+"""Values of all states at all times of the simulations: 160 MB. Of more, fewer experiments."""
 MOST_SECONDS = 60.0
 """That the simulations took at the estimates, up to which they are repeated."""
 
@@ -29,32 +29,21 @@ def with_states(result: Result, resources: Resources) -> Result:
     own, with the states among the outputs. None are added where no whole record was fitted, the run
     was interrupted, that would take long, or the licence of the FMU limits its instances.
     """
-    problem = result.problem
-    states = problem.describe().states
-    train = problem.indices("train")
-    chosen = tuple(train[p] for p in positions_of_few(len(train)))
-    segmented = result.shooting is not None and not result.shooting.joined
-    limited = resources.instances is not None
-    if (
-        not states
-        or segmented
-        or limited
-        or result.interrupted
-        or _seconds(result, chosen) > MOST_SECONDS
-    ):
+    problem, chosen = result.problem, _chosen(result)
+    if not chosen or resources.instances is not None:
         return result
+    description, solver = problem.describe(), problem.model.solver
+    states = description.states
     runs = tuple(_recording(problem.experiments[e], states) for e in chosen)
     space = make_space(problem, chosen, result.x)
-    solver = problem.model.solver
     try:
         outcomes = simulate_with_solver(
             problem, runs, space.physical(space.start), solver, "trajectory", resources, beside=None
         )
     except ClusterEstError:  # the curves at the estimates say so too
         return result
-    variables = problem.describe().variables
-    units = tuple(variables[name].unit for name in states)
-    every = -(-sum(len(_times(run)) for run in runs) * len(states) // MOST_VALUES)
+    units = tuple(description.variables[name].unit for name in states)
+    every = -(-sum(len(_times(run)) for run in runs) * len(states) // MOST_KEPT)
     found = []
     for run, outcome in zip(runs, outcomes, strict=True):
         times, path = _times(run)[:: max(1, every)], outcome.trajectory
@@ -64,9 +53,22 @@ def with_states(result: Result, resources: Resources) -> Result:
     return replace(result, states=tuple(found))
 
 
-def _seconds(result: Result, experiments: tuple[int, ...]) -> float:
-    """Return what the simulations of some experiments took at the estimates."""
-    return sum(s.outcome.seconds for s in result.simulations if s.experiment in experiments)
+def _chosen(result: Result) -> tuple[int, ...]:
+    """Return the experiments that are simulated once more; none where that is not worth it."""
+    states = len(result.problem.describe().states)
+    segmented = result.shooting is not None and not result.shooting.joined
+    if not states or segmented or result.interrupted:
+        return ()
+    train = result.problem.indices("train")
+    outcomes = {each.experiment: each.outcome for each in result.simulations}
+    found, recorded, seconds = [], 0, 0.0
+    for experiment in (train[position] for position in positions_of_few(len(train))):
+        outcome = outcomes[experiment]
+        seconds += outcome.seconds
+        recorded += 0 if outcome.trajectory is None else len(outcome.trajectory.times) * states
+        if recorded <= MOST_RECORDED:
+            found.append(experiment)
+    return tuple(found) if seconds <= MOST_SECONDS else ()
 
 
 def _recording(experiment: Experiment, states: tuple[str, ...]) -> Experiment:

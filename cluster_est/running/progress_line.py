@@ -48,8 +48,22 @@ SEARCH_TITLES = {
     "drop": "revising the effects",
     "final": "the final fits",
     "process noise": "fitting the process noise",
+    "sizes": "measuring the influence of each unknown",
+    "gaps": "simulating across gaps",
+    "sensors": "finding the start values of sensors",
+    "segments": "simulating segments",
+    "records": "testing the records for errors",
+    "shapes": "computing the shapes of the effects",
+    "posterior": "drawing from the posterior",
+    "predictions": "simulating predictions",
+    "start": "searching from start",
+    "profile": "computing the profile of",
+    "bootstrap": "refitting draw",
 }
-"""Texts for people, by the names of the searches of all studies in the log."""
+"""Texts for people, by the names of the searches of all studies in the log.
+
+Of a name such as "start 3" it is the text of its first word, and the rest follows.
+"""
 
 Callback = Callable[[SearchIteration], Any]
 """Called with each iteration of each search; StopIteration ends the run with what it has found."""
@@ -169,11 +183,11 @@ def progress_of(given: Show | bool | None, budget: Budget) -> Iterator[Show | No
 
 def line_of(snapshot: RunSnapshot, budget: Budget) -> str:
     """Return a snapshot as one line of text, with the time that is left of a budget."""
-    progress, failed = snapshot.progress, snapshot.failures
+    progress, failed, number = snapshot.progress, snapshot.failures, snapshot.progress.iteration
     rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
     done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
     parts = [
-        f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
+        f"{done}, iteration {number}" if number and snapshot.searches == 1 else done,
         left_of_step(snapshot.phase, snapshot.left, at_most=snapshot.at_most),
         pace_of(snapshot.pace),
         "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
@@ -204,6 +218,9 @@ LEAST_PACE = 1.0
 
 def search_title(search: str) -> str:
     """Return what a person reads of a search, by its name in the log."""
+    first, _, rest = search.partition(" ")
+    if search not in SEARCH_TITLES and first in SEARCH_TITLES:
+        return f"{SEARCH_TITLES[first]} {rest}"
     return SEARCH_TITLES.get(search, search)
 
 

@@ -303,11 +303,11 @@ class SensitivityResult:
         if apart:
             labels = _named([u.label for u in apart])
             found.append(
-                f"at the start values {labels} cannot be told from the unknowns before "
-                f"{'it' if len(apart) == 1 else 'them'} in the order of estimation (collinearity "
-                f"index of {min(u.collinearity for u in apart):.3g} or more): fix "
+                f"at the start values {labels} cannot be distinguished from the unknowns "
+                f"before {'it' if len(apart) == 1 else 'them'} in the order of estimation "
+                f"(collinearity index of {min(u.collinearity for u in apart):.3g} or more): fix "
                 f"{'it' if len(apart) == 1 else 'them'} (fixed = true), where the value is known "
-                "well enough, or measure what tells them apart"
+                "well enough, or measure what distinguishes them"
             )
         if unseen:
             found.append(

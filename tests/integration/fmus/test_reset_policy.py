@@ -209,8 +209,9 @@ def test_what_was_found_out_once_is_not_tried_again(fitted, tmp_path, monkeypatc
         used.append({int(line.split()[1]) for line in lines if line.startswith("MADE")})
         (tmp_path / "log").unlink()
     first, again = used
-    assert again == {os.getpid()}
-    assert workers == 1 or first > again
+    assert os.getpid() in again
+    assert len(again) == 2  # with the one that records the states at the end
+    assert workers == 1 or len(first) > len(again)
 
 
 @KINDS

@@ -13,7 +13,13 @@ from support.problems.springs import spring_problem
 import cluster_est as ce
 from cluster_est.errors import ProblemError
 from cluster_est.methods.method import Progress
-from cluster_est.running.progress_line import TerminalPlace, line_of, progress_of, shown_at
+from cluster_est.running.progress_line import (
+    TerminalPlace,
+    line_of,
+    progress_of,
+    search_title,
+    shown_at,
+)
 from cluster_est.running.resources import Budget, RunSnapshot
 
 SNAPSHOT = RunSnapshot("train", Progress(3, 2.5), 12, 40, 1, 2, 4, 7.0)
@@ -37,6 +43,12 @@ def test_the_line_says_what_is_done():
         "searching, iteration 3 | cost 2.5 | 1 simulation failed | 12 evaluations (1.71/s) | "
         "2/4 workers busy | 7 s"
     )
+
+
+def test_a_search_with_a_number_has_a_text_and_the_number():
+    assert search_title("start 3") == "searching from start 3"
+    assert search_title("leave one out") == "predicting experiments that were left out"
+    assert search_title("something new") == "something new"
 
 
 def test_a_cost_that_is_not_known_yet_is_left_out():
