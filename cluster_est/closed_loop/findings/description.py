@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -336,9 +336,9 @@ def _place(candidate: EffectCandidate) -> str:
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
     value, low, high = estimate.value, estimate.lower95, estimate.upper95
-    said, number = f"{name} = {value:.4g}{in_unit(estimate.unit)}", "{:.4g}".format
-    if estimate.unit == "s" and abs(value) > LONG:
-        said, number = f"{name} = {readable_time(value)}", readable_time
+    long = estimate.unit == "s" and abs(value) > LONG
+    number: Callable[[float], str] = readable_time if long else "{:.4g}".format
+    said = f"{name} = {number(value)}{'' if long else in_unit(estimate.unit)}"
     if estimate.at_bound:
         return f"{said} (at its {estimate.at_bound} bound)"
     if math.isfinite(low) and math.isfinite(high):
