@@ -40,8 +40,8 @@ class KnownClaim:
 
     Attributes
     ----------
-    case, system
-        Where it is from.
+    case, system, tuned
+        Where it is from, and whether methods may be tuned on that system.
     claimed
         It was claimed; else it is a lead.
     right, place
@@ -52,6 +52,7 @@ class KnownClaim:
 
     case: str
     system: str
+    tuned: bool
     effect: str
     claimed: bool
     right: bool
@@ -66,12 +67,11 @@ def claims_of(scores: Iterable[Score]) -> list[KnownClaim]:
     for score in scores:
         for row in score.claims or ():
             evidence = ClaimEvidence(**{name: row[name] for name in names})
-            known = score.name, row["effect"], row["claimed"], evidence.effects
-            key = (*known, f"{evidence.left:.4f}")
-            marks = row["claimed"], row["right"], row["place"]
-            found.setdefault(
-                key, KnownClaim(*known[:1], score.system, row["effect"], *marks, evidence)
-            )
+            effect, claimed = row["effect"], row["claimed"]
+            key = (score.name, effect, claimed, evidence.effects, f"{evidence.left:.4f}")
+            where = score.name, score.system, score.split == "tune"
+            marks = claimed, row["right"], row["place"]
+            found.setdefault(key, KnownClaim(*where, effect, *marks, evidence))
     return list(found.values())
 
 
@@ -207,16 +207,21 @@ def calibration_report(claims: Sequence[KnownClaim]) -> str:
     ]
     for p, r in _bins(probability, right):
         lines.append(f"{p.min():.3f} to {p.max():.3f}  {p.mean():.3f}  {_share(r, p.mean())}")
-    sure = probability >= 0.9
-    if sure.any():
-        lines.append(f"0.9 or more     {probability[sure].mean():.3f}  {_share(right[sure], None)}")
+    parts = {
+        "0.9 or more    ": probability >= 0.9,
+        "never tuned on ": np.array([not each.tuned for each in laws]),
+    }
+    for name, rows in parts.items():
+        if rows.any():
+            mean = probability[rows].mean()
+            lines.append(f"{name} {mean:.3f}  {_share(right[rows], mean)}")
     lines += ["", f"CALIBRATION = {calibrated(claims)!r}"]
     return "\n".join(lines)
 
 
-def _share(right: np.ndarray, said: float | None) -> str:
+def _share(right: np.ndarray, said: float) -> str:
     """A share with its interval after Clopper and Pearson, and whether that holds what was said."""
     low, high = binomtest(int(right.sum()), len(right)).proportion_ci()
-    outside = "" if said is None or low <= said <= high else "  outside"
+    outside = "" if low <= said <= high else "  outside"
     share = f"{right.sum()} of {len(right)}"
     return f"{share:11s} {right.mean():.3f}  {low:.3f} to {high:.3f}{outside}"

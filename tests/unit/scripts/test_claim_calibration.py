@@ -31,7 +31,7 @@ def made_claims(count: int = 240) -> list[KnownClaim]:
         right = bool(random.random() < 1.0 / (1.0 + np.exp(1.5 - 5.0 * REST / (REST + beyond))))
         evidence = replace(EVIDENCE, left=left, effects=int(random.integers(1, 4)))
         system = SYSTEMS[number % len(SYSTEMS)]
-        made.append(KnownClaim(f"case {number}", system, "e", True, right, right, evidence))
+        made.append(KnownClaim(f"case {number}", system, True, "e", True, right, right, evidence))
     return made
 
 
@@ -90,9 +90,9 @@ def test_the_area_under_the_curve_is_how_often_right_claims_are_surer():
 def test_the_calibration_has_bins_of_laws_that_rise_and_counts_curves_and_leads_apart():
     free = replace(EVIDENCE, free=True)
     more = [
-        KnownClaim("c", "room", "curve", True, False, True, free),
-        KnownClaim("d", "room", "lead", False, False, True, EVIDENCE),
-        KnownClaim("d", "room", "lead", False, True, True, EVIDENCE),
+        KnownClaim("c", "room", True, "curve", True, False, True, free),
+        KnownClaim("d", "room", True, "lead", False, False, True, EVIDENCE),
+        KnownClaim("d", "room", True, "lead", False, True, True, EVIDENCE),
     ]
     found = calibrated([*made_claims(), *more])
     assert sum(bin_.of for bin_ in found.alike) == 240
@@ -117,4 +117,8 @@ def test_the_report_says_whether_what_was_said_holds():
     brier, base = scores(said)
     assert brier < base
     assert "outside" not in said
+    assert "never tuned on" not in said
     assert "CALIBRATION = ClaimCalibration(" in said
+    held_back = [replace(each, tuned=each.system != "room") for each in made_claims()]
+    (line,) = (row for row in calibration_report(held_back).splitlines() if "never tuned" in row)
+    assert " of 80 " in line
