@@ -79,10 +79,10 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
         label = " and ".join(label for label, _ in known)
         return f"{label}: {known[0][1].sentence}"
     said = [
-        f"{label} with {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
+        f"{label} {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
         for label, own in known
     ]
-    return f"right in place and kind: {in_a_row(said)}"
+    return f"probability that place and kind are right: {in_a_row(said)}"
 
 
 def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tuple[float, float]:

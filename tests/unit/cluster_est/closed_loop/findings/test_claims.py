@@ -169,7 +169,7 @@ def test_the_summary_says_how_sure_each_effect_is():
     curve = replace(GAIN, family="table")
     found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, claimed=True)
     said = how_sure(found, claimed=True)
-    assert said.startswith("right in place and kind: coulomb at der(v) with ")
+    assert said.startswith("probability that place and kind are right: coulomb at der(v) ")
     assert said.endswith("(its place)")
     leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, claimed=False)
     assert how_sure(leads, claimed=False).startswith(
