@@ -166,6 +166,7 @@ def _describe(
         evidence=(
             *_evidence(found, candidate, period),
             *_columns(fitter, found, candidate, period),
+            *((FEEDS_ENERGY,) if named.placed.feeds_energy else ()),
         ),
         words=named.words,
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
@@ -173,6 +174,12 @@ def _describe(
         period=float(period),
         label=candidate.label,
     )
+
+
+FEEDS_ENERGY = (
+    "it pushes along the motion and feeds energy in, which friction never does: look for what "
+    "drives it, for a wrong sign, and for a damping of the declared model that is too large"
+)
 
 
 def _agreeing(
