@@ -35,6 +35,7 @@ from cluster_est.closed_loop.findings.effects import (
     NamedEffect,
     NoiseChange,
     Verdict,
+    over_noise,
     pooled_error,
 )
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
@@ -241,7 +242,8 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     if not named and judgement.verdict is Verdict.UNEXPLAINED:
         named = _best_tried(fitter, found)
     if not fitter.predicts:  # the benchmark has hardly any claims under process noise
-        named = with_claims(named, fits.errors, compared, judgement.closed, claimed=keep)
+        errors = over_noise(fits.errors, judgement.noise)
+        named = with_claims(named, errors, compared, claimed=keep)
     said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
     said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE

@@ -232,13 +232,21 @@ class ResultView(ABC):
 
     def _displayed(self, facts: Mapping[str, Any]) -> tuple[display.DisplayTable, ...]:
         narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
-        effects = [(e["name"], e["words"] or e["family"], e["equation"]) for e in
-                   facts.get("effects") or ()]  # fmt: skip
+        effects = [
+            (e["name"], e["words"] or e["family"], e["equation"], _how_sure(e))
+            for e in facts.get("effects") or ()
+        ]
         return (
-            display.DisplayTable("Effects", ("name", "words", "equation"), effects),
+            display.DisplayTable("Effects", ("name", "words", "equation", "right with"), effects),
             _parameters(tuple(self.params.values()), too_narrow=narrow),
             _errors(self.table("errors").to_pylist()),
         )
+
+
+def _how_sure(effect: Mapping[str, Any]) -> str:
+    """The probability that an effect is right; "" where it is not known."""
+    known = effect.get("claim")
+    return display.percent(known["probability"]) if known else ""
 
 
 class _Named(Mapping[str, Estimate]):

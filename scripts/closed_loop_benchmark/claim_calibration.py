@@ -11,7 +11,7 @@ system are alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -23,6 +23,7 @@ from cluster_est.closed_loop.findings.claims import (
     ClaimCalibration,
     ClaimEvidence,
     LikeClaims,
+    claim,
     figures,
 )
 
@@ -39,8 +40,8 @@ class KnownClaim:
 
     Attributes
     ----------
-    case, system
-        Where it is from.
+    case, system, tuned
+        Where it is from, and whether methods may be tuned on that system.
     claimed
         It was claimed; else it is a lead.
     right, place
@@ -51,6 +52,7 @@ class KnownClaim:
 
     case: str
     system: str
+    tuned: bool
     effect: str
     claimed: bool
     right: bool
@@ -65,12 +67,11 @@ def claims_of(scores: Iterable[Score]) -> list[KnownClaim]:
     for score in scores:
         for row in score.claims or ():
             evidence = ClaimEvidence(**{name: row[name] for name in names})
-            known = score.name, row["effect"], row["claimed"], evidence.effects
-            key = (*known, f"{evidence.left:.4f}")
-            marks = row["claimed"], row["right"], row["place"]
-            found.setdefault(
-                key, KnownClaim(*known[:1], score.system, row["effect"], *marks, evidence)
-            )
+            effect, claimed = row["effect"], row["claimed"]
+            key = (score.name, effect, claimed, evidence.effects, f"{evidence.left:.4f}")
+            where = score.name, score.system, score.split == "tune"
+            marks = claimed, row["right"], row["place"]
+            found.setdefault(key, KnownClaim(*where, effect, *marks, evidence))
     return list(found.values())
 
 
@@ -97,41 +98,75 @@ def fitted(figures_: np.ndarray, right: np.ndarray) -> tuple[float, np.ndarray]:
     return float(best[0] - weights @ mean), weights
 
 
-def left_out(claims: Sequence[KnownClaim]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the probability and the base rate of each claim, by claims of the other systems."""
-    table = np.array([figures(each.evidence) for each in claims])
-    right = np.array([each.right for each in claims])
-    systems = np.array([each.system for each in claims])
-    found, base = np.zeros(len(claims)), np.zeros(len(claims))
-    for system in dict.fromkeys(systems.tolist()):
-        own = systems == system
-        intercept, weights = fitted(table[~own], right[~own])
-        found[own] = 1.0 / (1.0 + np.exp(-(intercept + table[own] @ weights)))
-        base[own] = right[~own].mean()
-    return found, base
-
-
 def calibrated(claims: Sequence[KnownClaim]) -> ClaimCalibration:
     """Fit the regression to the claims of laws, and count how many of all kinds were right."""
-    laws = [each for each in claims if each.claimed and not each.evidence.free]
+    laws = _laws(claims)
     curves = [each for each in claims if each.claimed and each.evidence.free]
     leads = [each for each in claims if not each.claimed]
-    table = np.array([figures(each.evidence) for each in laws])
-    right = np.array([each.right for each in laws])
+    table, right = _table(laws)
     intercept, weights = fitted(table, right)
-    probability, _ = left_out(laws)
-    alike = [
-        LikeClaims(_short(p.min()), int(r.sum()), len(r)) for p, r in _bins(probability, right)
-    ]
+    probability = np.zeros(len(laws))
+    for own in _systems(laws):
+        other, slopes = fitted(table[~own], right[~own])
+        probability[own] = 1.0 / (1.0 + np.exp(-(other + table[own] @ slopes)))
     return ClaimCalibration(
         origin=f"{_counted(laws)}, {len(curves)} free curves, {len(leads)} leads",
         intercept=_short(intercept),
         **{name: _short(w) for name, w in zip(WEIGHTS, weights.tolist(), strict=True)},
-        alike=tuple(alike),
-        curves=LikeClaims(0.0, sum(each.place for each in curves), len(curves)),
-        leads=LikeClaims(0.0, sum(each.right for each in leads), len(leads)),
-        lead_places=LikeClaims(0.0, sum(each.place for each in leads), len(leads)),
+        alike=_rising(_bins(probability, right)),
+        doubtful=_right_of([each.right for each in laws if each.evidence.doubtful]),
+        curves=_right_of([each.place for each in curves]),
+        leads=_right_of([each.right for each in leads]),
+        lead_places=_right_of([each.place for each in leads]),
     )
+
+
+def left_out(laws: Sequence[KnownClaim]) -> tuple[np.ndarray, np.ndarray]:
+    """Return what would be said of claims of laws by those of all other systems.
+
+    Returns
+    -------
+    probabilities, base rates : (claims,)
+    """
+    found, base = np.zeros(len(laws)), np.zeros(len(laws))
+    for own in _systems(laws):
+        others = [each for each, mine in zip(laws, own, strict=True) if not mine]
+        known = calibrated(others)
+        base[own] = np.mean([each.right for each in others])
+        for i in np.flatnonzero(own).tolist():
+            found[i] = claim(laws[i].evidence, known).probability
+    return found, base
+
+
+def _laws(claims: Sequence[KnownClaim]) -> list[KnownClaim]:
+    return [each for each in claims if each.claimed and not each.evidence.free]
+
+
+def _table(laws: Sequence[KnownClaim]) -> tuple[np.ndarray, np.ndarray]:
+    """What the weights multiply, and whether each claim is right."""
+    return np.array([figures(e.evidence) for e in laws]), np.array([e.right for e in laws])
+
+
+def _systems(laws: Sequence[KnownClaim]) -> Iterator[np.ndarray]:
+    """Tell for one system after the other which claims are its own."""
+    systems = np.array([each.system for each in laws])
+    return (systems == system for system in dict.fromkeys(systems.tolist()))
+
+
+def _rising(bins: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[LikeClaims, ...]:
+    """Count the claims of bins, and join bins until more are right in each than in the last one."""
+    joined: list[LikeClaims] = []
+    for probability, right in bins:
+        new = LikeClaims(_short(probability.min()), int(right.sum()), len(right))
+        while joined and new.right * joined[-1].of < joined[-1].right * new.of:
+            old = joined.pop()
+            new = LikeClaims(old.least, old.right + new.right, old.of + new.of)
+        joined.append(new)
+    return tuple(joined)
+
+
+def _right_of(right: Collection[bool]) -> LikeClaims:
+    return LikeClaims(0.0, sum(right), len(right))
 
 
 def _counted(claims: Sequence[KnownClaim]) -> str:
@@ -160,28 +195,33 @@ def area_under_curve(probability: np.ndarray, right: np.ndarray) -> float:
 
 def calibration_report(claims: Sequence[KnownClaim]) -> str:
     """Say how probabilities of claims compare with the truth, and print what the package needs."""
-    laws = [each for each in claims if each.claimed and not each.evidence.free]
-    right = np.array([each.right for each in laws])
+    laws = _laws(claims)
+    _, right = _table(laws)
     probability, base = left_out(laws)
     brier, of_base = (float(np.mean((p - right) ** 2)) for p in (probability, base))
     lines = [
-        f"{_counted(laws)}; probabilities are those of a regression on the other systems",
+        f"{_counted(laws)}; probabilities follow from the other systems",
         f"Brier score {brier:.4f}, that of the base rate {of_base:.4f}; "
         f"area under the curve {area_under_curve(probability, right):.3f}",
         "said            mean   right        95 % interval",
     ]
     for p, r in _bins(probability, right):
         lines.append(f"{p.min():.3f} to {p.max():.3f}  {p.mean():.3f}  {_share(r, p.mean())}")
-    sure = probability >= 0.9
-    if sure.any():
-        lines.append(f"0.9 or more     {probability[sure].mean():.3f}  {_share(right[sure], None)}")
+    parts = {
+        "0.9 or more    ": probability >= 0.9,
+        "never tuned on ": np.array([not each.tuned for each in laws]),
+    }
+    for name, rows in parts.items():
+        if rows.any():
+            mean = probability[rows].mean()
+            lines.append(f"{name} {mean:.3f}  {_share(right[rows], mean)}")
     lines += ["", f"CALIBRATION = {calibrated(claims)!r}"]
     return "\n".join(lines)
 
 
-def _share(right: np.ndarray, said: float | None) -> str:
+def _share(right: np.ndarray, said: float) -> str:
     """A share with its interval after Clopper and Pearson, and whether that holds what was said."""
     low, high = binomtest(int(right.sum()), len(right)).proportion_ci()
-    outside = "" if said is None or low <= said <= high else "  outside"
+    outside = "" if low <= said <= high else "  outside"
     share = f"{right.sum()} of {len(right)}"
     return f"{share:11s} {right.mean():.3f}  {low:.3f} to {high:.3f}{outside}"

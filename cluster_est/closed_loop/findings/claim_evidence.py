@@ -25,7 +25,6 @@ def with_claims(
     effects: Sequence[NamedEffect],
     errors: Sequence[ErrorChange],
     structures: Sequence[ComparedStructure],
-    predicted: float,
     *,
     claimed: bool,
 ) -> tuple[NamedEffect, ...]:
@@ -39,8 +38,6 @@ def with_claims(
         Before, and with all effects.
     structures
         All that were compared.
-    predicted
-        Share of the gap that the set closes in records that were left out for prediction.
     claimed
         The effects are claimed; else they are leads.
 
@@ -55,22 +52,16 @@ def with_claims(
     left = np.array([largest_error(known, role) for role in ("train", "test")])
     if np.isnan(left).all():  # no noise is known that an error could be compared with
         return tuple(effects)
-    better = [each.normalised_after < each.normalised_before for each in known]
     places = [(effect.site, effect.variables) for effect in effects]
     found = []
-    for position, effect in enumerate(effects):
-        rival, own, chosen = _beside(effect, structures)
+    for effect in effects:
+        rival, chosen = _beside(effect, structures)
         evidence = ClaimEvidence(
             effects=len(effects),
-            position=position,
-            shared=places.count(places[position]) > 1,
+            shared=places.count((effect.site, effect.variables)) > 1,
             left=float(np.nanmax(left)),
-            gap=float(np.sqrt(before)),
             closed=float((before - after) / max(before - 1.0, 1e-12)),
-            predicted=predicted,
-            better=float(np.mean(better)) if better else np.nan,
             rival=rival,
-            own=own,
             chosen=chosen,
             at_end=any(each.at_bound for each in effect.coefficients),
             free=effect.family == FREE_FAMILY,
@@ -88,22 +79,18 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
         label = " and ".join(label for label, _ in known)
         return f"{label}: {known[0][1].sentence}"
     said = [
-        f"{label} with {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
+        f"{label} {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
         for label, own in known
     ]
-    return f"right in place and kind: {in_a_row(said)}"
+    return f"probability that place and kind are right: {in_a_row(said)}"
 
 
-def _beside(
-    effect: NamedEffect, structures: Sequence[ComparedStructure]
-) -> tuple[float, float, float]:
-    """Return what speaks for an effect beside all that was refitted: rival, own and chosen."""
+def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tuple[float, float]:
+    """Return by how much a structure without an effect is worse, and how often it is chosen."""
     with_it = [row for row in structures if effect.label in row.effects]
     without = [row for row in structures if effect.label not in row.effects]
     best = min((row.criterion for row in with_it), default=np.nan)
     second = min([0.0, *(row.criterion for row in without)])
     rival = min([second - best, *(other.criterion for other in effect.alternatives)])
-    share = max((row.closed for row in with_it), default=np.nan)
-    own = share - max([0.0, *(row.closed for row in without)])
     chosen = [row.chosen for row in with_it if np.isfinite(row.chosen)]
-    return float(rival), float(own), float(sum(chosen)) if chosen else np.nan
+    return float(rival), float(sum(chosen)) if chosen else np.nan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -168,6 +168,7 @@ def _describe(
         evidence=(
             *_evidence(found, candidate, period),
             *_columns(fitter, found, candidate, period),
+            *((FEEDS_ENERGY,) if named.placed.feeds_energy else ()),
         ),
         words=named.words,
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
@@ -175,6 +176,12 @@ def _describe(
         period=float(period),
         label=candidate.label,
     )
+
+
+FEEDS_ENERGY = (
+    "it pushes along the motion and feeds energy in, which friction never does: look for what "
+    "drives it, for a wrong sign, and for a damping of the declared model that is too large"
+)
 
 
 def _agreeing(
@@ -340,9 +347,9 @@ def _place(candidate: EffectCandidate) -> str:
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
     value, low, high = estimate.value, estimate.lower95, estimate.upper95
-    said, number = f"{name} = {value:.4g}{in_unit(estimate.unit)}", "{:.4g}".format
-    if estimate.unit == "s" and abs(value) > LONG:
-        said, number = f"{name} = {readable_time(value)}", readable_time
+    long = estimate.unit == "s" and abs(value) > LONG
+    number: Callable[[float], str] = readable_time if long else "{:.4g}".format
+    said = f"{name} = {number(value)}{'' if long else in_unit(estimate.unit)}"
     if estimate.at_bound:
         return f"{said} (at its {estimate.at_bound} bound)"
     if math.isfinite(low) and math.isfinite(high):

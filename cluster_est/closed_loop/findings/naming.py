@@ -288,6 +288,13 @@ class PlacedLaw:
     def at_rates(self) -> bool:
         return self.kind in ("derivative", "pair")
 
+    @property
+    def feeds_energy(self) -> bool:
+        """It pushes a body the way that it moves, whichever way that is."""
+        speed = _pushes(self) if self.site is not None and self.argument is not None else None
+        along = speed is not None and self.argument is not None and self.argument.same_as(speed)
+        return along and self.own and self.gain
+
 
 def physics_of(placed: PlacedLaw) -> str:
     """Return what physics calls a law at its place; "" where the units do not say."""

@@ -14,6 +14,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.errors import ConfigError, ProblemError, RunFolderError
 from cluster_est.problem.costs import COSTS
+from cluster_est.problem.display import percent
 from workers.fmu.description import describe
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
@@ -124,6 +125,7 @@ def test_the_result_of_a_loop_has_the_same_fields_and_tables(found):
     assert result.jac.shape == (len(result.fun), len(result.after.solution.x))
     for shown in (html(result), str(result)):
         assert f"Closed loop: {result.verdict}." in shown
+        assert percent(result.effects[0].claim.probability) in shown
 
 
 def test_it_saves_and_reports_and_exports_itself(found, tmp_path):

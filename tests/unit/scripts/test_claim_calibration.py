@@ -13,11 +13,10 @@ from closed_loop_benchmark.claim_calibration import (
 )
 from closed_loop_benchmark.scoring import Score
 
-from cluster_est.closed_loop.findings.claims import ClaimEvidence
+from cluster_est.closed_loop.findings.claims import REST, ClaimEvidence
 
 EVIDENCE = ClaimEvidence(
-    effects=1, position=0, shared=False, left=1.0, gap=9.0, closed=1.0, predicted=1.0, better=1.0,
-    rival=99.0, own=0.5, chosen=1.0, at_end=False, free=False,
+    effects=1, shared=False, left=1.0, closed=1.0, rival=99.0, chosen=1.0, at_end=False, free=False
 )  # fmt: skip
 SYSTEMS = ("room", "pendulum", "battery")
 
@@ -27,11 +26,12 @@ def made_claims(count: int = 240) -> list[KnownClaim]:
     random = np.random.default_rng(4)
     made = []
     for number in range(count):
-        left = float(np.sqrt(1.0 + 10.0 ** random.uniform(-2.0, 2.0)))
-        right = bool(random.random() < 1.0 / (1.0 + 0.5 * (left**2 - 1.0)))
+        beyond = 10.0 ** random.uniform(-3.0, 0.0)
+        left = float(np.sqrt(1.0 + beyond))
+        right = bool(random.random() < 1.0 / (1.0 + np.exp(1.5 - 5.0 * REST / (REST + beyond))))
         evidence = replace(EVIDENCE, left=left, effects=int(random.integers(1, 4)))
         system = SYSTEMS[number % len(SYSTEMS)]
-        made.append(KnownClaim(f"case {number}", system, "e", True, right, right, evidence))
+        made.append(KnownClaim(f"case {number}", system, True, "e", True, right, right, evidence))
     return made
 
 
@@ -87,16 +87,19 @@ def test_the_area_under_the_curve_is_how_often_right_claims_are_surer():
     assert area_under_curve(np.array([0.1, 0.2, 0.3, 0.4]), right) == 0.75
 
 
-def test_the_calibration_has_five_bins_of_laws_and_counts_curves_and_leads_apart():
+def test_the_calibration_has_bins_of_laws_that_rise_and_counts_curves_and_leads_apart():
     free = replace(EVIDENCE, free=True)
     more = [
-        KnownClaim("c", "room", "curve", True, False, True, free),
-        KnownClaim("d", "room", "lead", False, False, True, EVIDENCE),
-        KnownClaim("d", "room", "lead", False, True, True, EVIDENCE),
+        KnownClaim("c", "room", True, "curve", True, False, True, free),
+        KnownClaim("d", "room", True, "lead", False, False, True, EVIDENCE),
+        KnownClaim("d", "room", True, "lead", False, True, True, EVIDENCE),
     ]
     found = calibrated([*made_claims(), *more])
-    assert [bin_.of for bin_ in found.alike] == [48] * 5
-    assert found.alike[-1].right > found.alike[0].right
+    assert sum(bin_.of for bin_ in found.alike) == 240
+    shares = [bin_.right / bin_.of for bin_ in found.alike]
+    assert shares == sorted(shares)
+    assert shares[-1] > shares[0]
+    assert [bin_.least for bin_ in found.alike] == sorted(bin_.least for bin_ in found.alike)
     assert found.clean > 0.5
     assert (found.curves.right, found.curves.of) == (1, 1)
     assert (found.leads.right, found.lead_places.right, found.leads.of) == (1, 2, 2)
@@ -114,4 +117,8 @@ def test_the_report_says_whether_what_was_said_holds():
     brier, base = scores(said)
     assert brier < base
     assert "outside" not in said
+    assert "never tuned on" not in said
     assert "CALIBRATION = ClaimCalibration(" in said
+    held_back = [replace(each, tuned=each.system != "room") for each in made_claims()]
+    (line,) = (row for row in calibration_report(held_back).splitlines() if "never tuned" in row)
+    assert " of 80 " in line

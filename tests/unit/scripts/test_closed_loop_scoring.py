@@ -19,6 +19,7 @@ from closed_loop_benchmark.tables import compare_runs, holds, page
 from support.thinning import thinned
 
 import cluster_est as ce
+from cluster_est.closed_loop.findings.claims import ClaimEvidence, claim
 from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.problem.thinning import ThinningSettings
@@ -122,6 +123,30 @@ def test_a_right_name_scores():
     assert found.after == pytest.approx(found.oracle, rel=1e-3)
     assert found.parameters_after < found.parameters_before
     assert Score.from_json(found.to_json()).to_json() == found.to_json()
+
+
+EVIDENCE = ClaimEvidence(
+    effects=1, shared=False, left=1.0, closed=1.0, rival=99.0, chosen=1.0, at_end=False, free=False
+)  # fmt: skip
+
+
+def test_claims_and_leads_are_marked_as_right_in_place_and_kind():
+    load, other = (Effect("e", "der(v)", form) for form in ("constant", "quadratic"))
+    elsewhere = Effect("e", "output y", "gain")
+    lead = NamedEffect(elsewhere, "", "", (), claim=claim(EVIDENCE))
+    found = {}
+    for effect in (load, other):
+        named = NamedEffect(effect, "", "", (), claim=claim(EVIDENCE))
+        result = replace(said(effect), effects=(named,), rejected=(lead,))
+        data = data_of(LOAD)
+        first, second = score(data, result, ask(data, make_problem(data))).claims
+        found[effect.form] = [
+            (row["claimed"], row["right"], row["place"]) for row in (first, second)
+        ]
+        assert (first["left"], first["effects"]) == (1.0, 1)
+    assert found["constant"][0] == (True, True, True)
+    assert found["quadratic"] == [(True, False, True), (False, False, False)]
+    assert judged(load).claims == []  # of which nobody asked how sure they are
 
 
 def test_another_name_of_the_same_model_is_found_out_by_its_numbers():

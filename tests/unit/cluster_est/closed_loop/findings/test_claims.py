@@ -18,8 +18,7 @@ from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from workers.messages import Effect
 
 EVIDENCE = ClaimEvidence(
-    effects=1, position=0, shared=False, left=1.0, gap=9.0, closed=1.0, predicted=1.0, better=1.0,
-    rival=99.0, own=0.5, chosen=1.0, at_end=False, free=False,
+    effects=1, shared=False, left=1.0, closed=1.0, rival=99.0, chosen=1.0, at_end=False, free=False
 )  # fmt: skip
 KNOWN = ClaimCalibration(
     origin="",
@@ -29,6 +28,7 @@ KNOWN = ClaimCalibration(
     apart=1.0,
     chosen=1.0,
     alike=(LikeClaims(0.0, 20, 50), LikeClaims(0.5, 40, 50), LikeClaims(0.9, 38, 40)),
+    doubtful=LikeClaims(0.0, 9, 21),
     curves=LikeClaims(0.0, 3, 5),
     leads=LikeClaims(0.0, 12, 75),
     lead_places=LikeClaims(0.0, 33, 75),
@@ -52,9 +52,10 @@ def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     assert sure.sentence.endswith("of 40 claims like this in the benchmark, 38 were right")
 
 
-@pytest.mark.parametrize(("left", "of"), [(100.0, "50 claims"), (1.0, "40 claims")])
-def test_a_claim_says_how_many_like_it_were_right(left, of):
-    found = claim(replace(EVIDENCE, left=left), KNOWN)
+@pytest.mark.parametrize(("effects", "of"), [(3, "50 claims"), (1, "40 claims")])
+def test_a_claim_says_how_many_like_it_were_right(effects, of):
+    known = replace(KNOWN, intercept=1.0)
+    found = claim(replace(EVIDENCE, effects=effects), known)
     assert f"of {of} like this in the benchmark" in found.sentence
     assert found.sentence.startswith(
         f"right in place and kind with {100 * found.probability:.0f} %"
@@ -63,7 +64,20 @@ def test_a_claim_says_how_many_like_it_were_right(left, of):
 
 def test_a_claim_below_all_of_the_benchmark_is_like_the_least_sure_ones():
     known = replace(KNOWN, alike=(LikeClaims(0.4, 20, 50), *KNOWN.alike[1:]))
-    assert "of 50 claims" in claim(replace(EVIDENCE, left=1e3, effects=3), known).sentence
+    assert "of 50 claims" in claim(replace(EVIDENCE, left=1.4, effects=5), known).sentence
+
+
+@pytest.mark.parametrize("doubt", [{"left": 1.6}, {"at_end": True}], ids=str)
+def test_a_claim_in_doubt_is_no_surer_than_those_of_the_benchmark(doubt):
+    sure = replace(KNOWN, intercept=50.0)
+    found = claim(replace(EVIDENCE, **doubt), sure)
+    assert found.probability == pytest.approx(10 / 23)
+    assert found.sentence == (
+        "right in place and kind with 43 %: of 21 claims that leave as much in doubt in the "
+        "benchmark, which are few, 9 were right"
+    )
+    doubted = claim(replace(EVIDENCE, left=40.0, effects=4), replace(KNOWN, intercept=-3.0))
+    assert doubted.probability < 10 / 23
 
 
 def test_a_choice_that_nobody_made_is_as_sure_as_one_that_is_made_always():
@@ -90,7 +104,6 @@ def test_a_lead_is_no_claim_and_has_no_probability():
 
 
 def test_the_calibration_rests_on_enough_claims_and_no_weight_is_negative():
-    assert len(CALIBRATION.alike) == 5
     assert min(bin_.of for bin_ in CALIBRATION.alike) >= FEW
     assert f"{sum(bin_.of for bin_ in CALIBRATION.alike)} claims" in CALIBRATION.origin
     weights = CALIBRATION.fewer, CALIBRATION.clean, CALIBRATION.apart, CALIBRATION.chosen
@@ -122,23 +135,22 @@ ROWS = (
 
 
 def evidence(effects, errors=(ERROR, HELD_OUT), structures=ROWS) -> list[ClaimEvidence]:
-    found = with_claims(effects, errors, structures, 0.8, claimed=True)
+    found = with_claims(effects, errors, structures, claimed=True)
     return [each.claim.evidence for each in found]
 
 
 def test_an_effect_is_compared_with_all_that_lacks_it():
     first, second = evidence([FRICTION, GAIN])
-    assert (first.effects, first.position, second.position) == (2, 0, 1)
+    assert first.effects == second.effects == 2
     assert (first.rival, second.rival) == (80.0, 30.0)
-    assert (first.own, second.own) == pytest.approx((0.7, 0.4))
     assert (first.chosen, second.chosen) == pytest.approx((0.9, 0.7))
 
 
 def test_the_gap_is_that_of_held_out_data_where_there_are_some():
     (both,) = evidence([FRICTION])
-    assert (both.gap, both.closed, both.left) == pytest.approx((5.0, 1.0, 1.1))
+    assert (both.closed, both.left) == pytest.approx((1.0, 1.1))
     (training,) = evidence([FRICTION], [ERROR])
-    assert (training.gap, training.closed) == pytest.approx((2.0, (4.0 - 1.21) / 3.0))
+    assert training.closed == pytest.approx((4.0 - 1.21) / 3.0)
 
 
 def test_effects_of_one_place_and_argument_share_it():
@@ -149,17 +161,17 @@ def test_effects_of_one_place_and_argument_share_it():
 
 def test_nothing_is_said_where_no_noise_is_known():
     unknown = replace(ERROR, normalised_before=np.nan, normalised_after=np.nan)
-    assert with_claims([FRICTION], [unknown], ROWS, 0.8, claimed=True) == (FRICTION,)
+    assert with_claims([FRICTION], [unknown], ROWS, claimed=True) == (FRICTION,)
     assert how_sure([FRICTION], claimed=True) == ""
 
 
 def test_the_summary_says_how_sure_each_effect_is():
     curve = replace(GAIN, family="table")
-    found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, 0.8, claimed=True)
+    found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, claimed=True)
     said = how_sure(found, claimed=True)
-    assert said.startswith("right in place and kind: coulomb at der(v) with ")
+    assert said.startswith("probability that place and kind are right: coulomb at der(v) ")
     assert said.endswith("(its place)")
-    leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, 0.8, claimed=False)
+    leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, claimed=False)
     assert how_sure(leads, claimed=False).startswith(
         "coulomb at der(v) and gain at output y: a lead"
     )

@@ -478,3 +478,12 @@ def test_a_wave_as_long_as_it_may_be_is_no_wave(site, form, words):
 def test_long_times_are_said_in_minutes_hours_and_days(seconds, said):
     numbers = [estimate("tau", seconds, "s", error=2.0)]
     assert said in described("input F", "lag", estimates=numbers).sentence
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "feeds"),
+    [("m/s", [-1.0], True), ("m/s", [1.0], False), ("rad/s", [-1.0], True), ("V", [-1.0], False)],
+)
+def test_what_pushes_along_the_motion_is_said_to_feed_energy_in(unit, values, feeds):
+    effect = described("der(v)", "viscous", "v", values=values, units={"v": unit})
+    assert any("feeds energy in" in sentence for sentence in effect.evidence) is feeds
