@@ -97,7 +97,7 @@ class EffectCandidate:
         made = []
         for i, (coefficient, own) in enumerate(self._divided(values)):
             low, high = self.lowest[i], self.highest[i]
-            start = float(min(max(np.mean(own), low), high))
+            start = min(max(float(np.mean(own)), low), high)
             strength, held = coefficient.name in self.strengths, coefficient.held
             scale: Scale = "linear" if strength or held or low <= 0.0 else "log"
             name = f"{self.effect.name}.{coefficient.name}"

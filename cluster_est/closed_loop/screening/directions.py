@@ -297,8 +297,8 @@ def probe(
         asked.append((space, points))
         amounts.append(steps)
     found = []
-    rows = fitted.space.rows
-    whose = np.repeat(np.arange(len(rows)), [own.stop - own.start for own in rows])
+    sizes = [own.stop - own.start for own in fitted.space.rows]
+    whose = np.repeat(np.arange(len(sizes)), sizes)
     answers = fitter.evaluate(LoopStage.PROBE, asked)
     for trial, steps, seen in zip(trials, amounts, answers, strict=True):
         columns = [
