@@ -10,7 +10,7 @@ often enough, and a mechanism that does nearly as much comes first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, final
 
@@ -25,7 +25,7 @@ from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.iteration import DAMPING_RATIO, NOTICEABLE
 from cluster_est.methods.least_squares.linear_map import StepSolver
-from cluster_est.methods.method import Ending, Method, Points, Search, Solution
+from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.initial_errors import is_start_value
 from cluster_est.running.search_state import SearchRequest
@@ -64,6 +64,8 @@ STEPS_WITHOUT_PART = 6
 FIRST_DAMPING = 1e-5
 """Of its first step, over the squares of the derivatives: what the other parts do not determine
 stays."""
+
+BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 BETTER_PARTS = 2.0 / 3.0
 """Share of the parts left out that a structure must predict better, of those that tell any
@@ -121,7 +123,8 @@ class RefitWithoutPart(Method):
     Levenberg-Marquardt steps whose derivatives begin as those of the fit to all, and are corrected
     by what each step has shown, so that an iteration is one simulation: Broyden's update, which
     leaves zeros as they are, because an experiment does not depend on the initial states of others
-    (L. K. Schubert, Math. Comp. 24 (1970) 27-30, doi:10.1090/S0025-5718-1970-0258276-9).
+    (L. K. Schubert, Math. Comp. 24 (1970) 27-30, doi:10.1090/S0025-5718-1970-0258276-9). Then the
+    unknowns that belong to the part alone are fitted to it.
 
     Attributes
     ----------
@@ -139,76 +142,70 @@ class RefitWithoutPart(Method):
     fitted: FloatArray = field(repr=False)
     jacobian: FloatArray = field(repr=False)
     part: IntArray = field(repr=False)
-    held: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    held: BoolArray
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         del generator  # nothing is drawn
         others = np.ones(len(self.fitted), bool)
         others[self.part] = False
-        x, residuals, matrix = space.start, self.fitted, self.jacobian
-        squares = float(np.sum(residuals[others] ** 2))
-        own = float(np.sum(residuals[self.part] ** 2))
-        damping, simulated, sizes = FIRST_DAMPING, False, np.linalg.norm(matrix, axis=0)
-        depends = matrix != 0.0
-        for number in range(STEPS_WITHOUT_PART):
-            step, promised, promised_own = self._step(space, x, residuals, matrix, others, damping)
-            settled = promised <= NOTICEABLE * squares / others.sum()
-            done = settled and promised_own <= NOTICEABLE * own / len(self.part)
-            if not step.any() or (number and done):
-                break
-            (at,) = yield Points((x + step)[None, :], "left out")
-            simulated |= at.ok
-            left, left_own = np.inf, np.inf
-            if at.ok:
-                left = float(np.sum(at.residuals[others] ** 2))
-                left_own = float(np.sum(at.residuals[self.part] ** 2))
-            if not (left < squares or (settled and left_own < own)):
-                damping = max(damping, FIRST_DAMPING) * DAMPING_RATIO**2
-                continue
-            missed, direction = at.residuals - residuals - matrix @ step, sizes**2 * step
-            lengths = depends @ (direction * step)
-            missed = np.divide(missed, lengths, out=np.zeros_like(missed), where=lengths > 0.0)
-            matrix = matrix + missed[:, None] * np.where(depends, direction, 0.0)
-            x, residuals, squares, own = x + step, at.residuals, left, left_own
-            damping /= DAMPING_RATIO
-        failed = number > 0 and not simulated
-        return Solution(x, ACCEPTANCE.unpredicted * own if failed else own, Ending.CONVERGED)
+        shared = self._unknowns_of(others)
+        own = self._unknowns_of(~others) & ~shared
+        x, residuals, failed = yield from self._refit(
+            space, space.start, self.fitted, others, shared
+        )
+        if own.any():
+            x, residuals, _ = yield from self._refit(space, x, residuals, ~others, own)
+        left = float(np.sum(residuals[self.part] ** 2))
+        return Solution(x, ACCEPTANCE.unpredicted * left if failed else left, Ending.CONVERGED)
 
-    def _step(
+    def _unknowns_of(self, rows: BoolArray) -> BoolArray:
+        """The unknowns that these residuals depend on, but those that keep their values."""
+        moved: BoolArray = (self.jacobian[rows] != 0.0).any(axis=0) & ~self.held
+        return moved
+
+    def _refit(
         self,
         space: SearchSpace,
         x: FloatArray,
         residuals: FloatArray,
-        matrix: FloatArray,
-        others: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-        damping: float,
-    ) -> tuple[FloatArray, float, float]:
-        """Return a step, and by how much the linear model lets the squares fall.
+        rows: BoolArray,
+        unknowns: BoolArray,
+    ) -> Generator[Points, list[Evaluation], tuple[FloatArray, FloatArray, bool]]:
+        """Refit some unknowns to some of the residuals; the rest follows.
 
-        Those of all other parts, by the unknowns that these depend on, and those of the part, by
-        the unknowns that it alone depends on.
+        Returned are the unknowns, all residuals, and whether no step could be simulated.
         """
-        seen = matrix[others]
-        known = (np.linalg.norm(seen, axis=0) > 0.0) & ~self.held
-        step = np.zeros(len(x))
-        if not known.any():
-            return step, 0.0, 0.0
+        matrix, step = self.jacobian[np.ix_(rows, unknowns)], np.zeros(len(x))
+        depends, sizes = matrix != 0.0, np.linalg.norm(matrix, axis=0)
+        squares = float(np.sum(residuals[rows] ** 2))
         most = longest_step(space, x, ACCEPTANCE.largest_step)
-        lower, upper = np.maximum(space.lower - x, -most), np.minimum(space.upper - x, most)
-        scale = np.linalg.norm(matrix[:, known], axis=0)
-        solver = StepSolver(seen[:, known], residuals[others], scale, lower[known], upper[known])
-        step[known] = solver.step(damping)
-        promised = solver.predicted_cost(np.zeros(known.sum())) - solver.predicted_cost(step[known])
-        own, promised_own = matrix[self.part], 0.0
-        alone = ~known & ~self.held & (np.linalg.norm(own, axis=0) > 0.0)
-        if alone.any():
-            missed = residuals[self.part] + own @ step
-            wanted = np.linalg.lstsq(own[:, alone], -missed, rcond=1e-6)[0]
-            step[alone] = np.clip(wanted, lower[alone], upper[alone])
-            rest = missed + own[:, alone] @ step[alone]
-            promised_own = float(missed @ missed - rest @ rest)
-        return step, promised, promised_own
+        damping, tried, simulated = FIRST_DAMPING, False, False
+        for _ in range(STEPS_WITHOUT_PART if unknowns.any() else 0):
+            lower = np.maximum(space.lower - x, -most)[unknowns]
+            upper = np.minimum(space.upper - x, most)[unknowns]
+            scale = np.linalg.norm(matrix, axis=0)
+            solver = StepSolver(matrix, residuals[rows], scale, lower, upper)
+            moved = solver.step(damping)
+            promised = solver.predicted_cost(np.zeros(len(moved))) - solver.predicted_cost(moved)
+            if not moved.any() or (tried and promised <= NOTICEABLE * squares / rows.sum()):
+                break
+            step[unknowns], tried = moved, True
+            (at,) = yield Points((x + step)[None, :], "left out")
+            if not at.ok:
+                damping = max(damping, FIRST_DAMPING) * DAMPING_RATIO**2
+                continue
+            simulated, left = True, float(np.sum(at.residuals[rows] ** 2))
+            missed = (at.residuals - residuals)[rows] - matrix @ moved
+            lengths = depends @ (sizes * moved) ** 2
+            missed = np.divide(missed, lengths, out=np.zeros_like(missed), where=lengths > 0.0)
+            matrix = matrix + missed[:, None] * np.where(depends, sizes**2 * moved, 0.0)
+            if left < squares:
+                x, residuals, squares = x + step, at.residuals, left
+                damping /= DAMPING_RATIO
+            else:
+                damping = max(damping, FIRST_DAMPING) * DAMPING_RATIO**2
+        return x, residuals, tried and not simulated
 
 
 def _parts(fitter: Fitter) -> list[IntArray]:
