@@ -154,15 +154,16 @@ class FittedModel:
         return self.space.estimates(self.x)
 
     def coefficients(self, added: EffectCandidate) -> list[float]:
-        """Values of the coefficients of an effect, estimated or held, of some one an experiment."""
+        """Values of the coefficients of an effect, estimated or held, of some one an experiment.
+
+        Where the fit is of other experiments than the search was, these have the start.
+        """
         known = {p.name: p.start for p in self.problem.parameters} | self.estimates
-        labels = [f"{added.effect.name}.{c.name}" for c in added.form.coefficients]
         found: list[float] = []
-        for label, coefficient in zip(labels, added.form.coefficients, strict=True):
-            own = (
-                [f"{label}[{name}]" for name in added.experiments] if coefficient.each else [label]
-            )
-            found += [float(known[each]) for each in own]
+        for coefficient in added.form.coefficients:
+            label = f"{added.effect.name}.{coefficient.name}"
+            ends = [f"[{name}]" for name in added.experiments] if coefficient.each else [""]
+            found += [float(known.get(f"{label}{end}", known[label])) for end in ends]
         return found
 
     def likelihood(self, records: StackedRecords) -> float:
