@@ -137,7 +137,10 @@ class FittedModel:
     @property
     def start(self) -> FitStart:
         """The same model, to be fitted again from here."""
-        return FitStart(self.problem, self.estimates, self.added)
+        known = self.estimates
+        for candidate in self.added:
+            known |= candidate.in_order(known)
+        return FitStart(self.problem, known, self.added)
 
     def moved(self, position: int) -> FittedModel:
         """The same model, with its last effect counted at another position."""
