@@ -137,7 +137,10 @@ class FittedModel:
     @property
     def start(self) -> FitStart:
         """The same model, to be fitted again from here."""
-        return FitStart(self.problem, self.estimates, self.added)
+        known = self.estimates
+        for candidate in self.added:
+            known |= candidate.in_order(known)
+        return FitStart(self.problem, known, self.added)
 
     def moved(self, position: int) -> FittedModel:
         """The same model, with its last effect counted at another position."""
@@ -154,15 +157,16 @@ class FittedModel:
         return self.space.estimates(self.x)
 
     def coefficients(self, added: EffectCandidate) -> list[float]:
-        """Values of the coefficients of an effect, estimated or held, of some one an experiment."""
+        """Values of the coefficients of an effect, estimated or held, of some one an experiment.
+
+        Where the fit is of other experiments than the search was, these have the start.
+        """
         known = {p.name: p.start for p in self.problem.parameters} | self.estimates
-        labels = [f"{added.effect.name}.{c.name}" for c in added.form.coefficients]
         found: list[float] = []
-        for label, coefficient in zip(labels, added.form.coefficients, strict=True):
-            own = (
-                [f"{label}[{name}]" for name in added.experiments] if coefficient.each else [label]
-            )
-            found += [float(known[each]) for each in own]
+        for coefficient in added.form.coefficients:
+            label = f"{added.effect.name}.{coefficient.name}"
+            ends = [f"[{name}]" for name in added.experiments] if coefficient.each else [""]
+            found += [float(known.get(f"{label}{end}", known[label])) for end in ends]
         return found
 
     def likelihood(self, records: StackedRecords) -> float:

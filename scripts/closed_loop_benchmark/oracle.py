@@ -244,7 +244,7 @@ def _coefficient(effect: AddedEffect, name: str, value: float) -> Parameter:
         return Parameter(label, value, (value / 10.0, value * 10.0), "log")
     # Where a varying parameter has its own value is a convention: it hides in the parameter.
     convention = name == "at" and effect.site.startswith("parameter")
-    reach = 20.0 * abs(value)
+    reach = 20.0 * abs(value) or 1.0
     return Parameter(label, value, (value - reach, value + reach), fixed=convention)
 
 

@@ -214,6 +214,9 @@ class EffectForm:
         Of a free curve: the number of points that it is made of.
     finer_than
         Name of the curve with half as many steps: a search looks at this one only where that leads.
+    twins
+        Pairs of coefficients that may change places, all at once, and it does the same. Of the
+        first pair the first is the smaller one.
     """
 
     name: str
@@ -232,6 +235,7 @@ class EffectForm:
     later: bool = False
     values: int = 0
     finer_than: str = ""
+    twins: tuple[tuple[str, str], ...] = ()
 
     def divides_by(self, coefficient: str) -> bool:
         """Return whether an equation of it has a coefficient alone as a divisor: 0 is no value."""

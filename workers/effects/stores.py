@@ -58,6 +58,7 @@ _TWO = (
     _time("tau_slow", 40.0, 150.0),
 )  # fmt: skip
 _DECAY = OwnState("e", "-e / tau", "1")
+_TWINS = (("tau", "tau_slow"), ("k", "k_slow"))
 _FREE = tuple(replace(c, positive=c.scale is not None) for c in _TWO)
 """Of what is not drawn from the state itself: it may push either way."""
 
@@ -88,16 +89,16 @@ _AT_STATES = (
          "a * e - k * (v - z)", (_EXCHANGE, _FIRST, _TAU), 1, (_EMPTY, _DECAY),
          when=_OWN, order=0.5),
     EffectForm("two_stores", "store", Law.TWO_STORES, _DER, "-k * (v - z) - k_slow * (v - y)",
-         _TWO, 1, (_STORE, _SLOW), when=_OWN, order=0.6),
+         _TWO, 1, (_STORE, _SLOW), when=_OWN, order=0.6, twins=_TWINS),
     EffectForm("two_stores_from_zero", "store", Law.TWO_STORES_FROM_ZERO, _DER,
          "-k * (v - z) - k_slow * (v - y)", _TWO, 1, (_EMPTY, replace(_SLOW, start="0")),
-         when=(*_OWN, *_FILLED), order=0.55),
+         when=(*_OWN, *_FILLED), order=0.55, twins=_TWINS),
     # a gut, a tank that runs out: full at the start, and nothing comes after
     EffectForm("emptying", "store", Law.DECAY, _DER, "a * e", (_FIRST, _TAU), 0, (_DECAY,),
          order=0.4),
     # what lies between another signal and the state, if one lag is not enough
     EffectForm("two_lags", "store", Law.TWO_LAGS, _DER, "k * z + k_slow * y", _FREE, 1,
-         (_STORE, _SLOW), when=(FormCondition.OTHER,), order=0.9, later=True),
+         (_STORE, _SLOW), when=(FormCondition.OTHER,), order=0.9, later=True, twins=_TWINS),
     # a mast that swings by a motor's torque and pulls at the body
     EffectForm("driven_mode", "store", Law.RESONANCE, _DER, "a * z + b * y",
          _PARTS, 1, (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,),

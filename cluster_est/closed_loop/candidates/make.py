@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Collection, Container, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
@@ -113,6 +113,20 @@ class EffectCandidate:
             if coefficient.each
             for experiment, value in zip(self.experiments, own, strict=True)
         }
+
+    def in_order(self, known: Mapping[str, float]) -> dict[str, float]:
+        """Return its coefficients by label, those that may change places in their order.
+
+        A fit may lead two time constants past each other: the slow one is then the fast one.
+        """
+        pairs = [[f"{self.effect.name}.{n}" for n in pair] for pair in self.form.twins]
+        if not pairs or known[pairs[0][0]] <= known[pairs[0][1]]:
+            return {}
+        names = [f"{self.effect.name}.{c.name}" for c in self.form.coefficients]
+        bounds = dict(zip(names, zip(self.lowest, self.highest, strict=True), strict=True))
+        swapped = {a: known[b] for one, other in pairs for a, b in ((one, other), (other, one))}
+        inside = all(bounds[n][0] <= value <= bounds[n][1] for n, value in swapped.items())
+        return swapped if inside else {}
 
     def point(self, values: Sequence[float]) -> tuple[float, ...]:
         """One value for each coefficient: of several, their mean."""

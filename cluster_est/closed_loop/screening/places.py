@@ -61,8 +61,9 @@ LAGS = 4
 SHORTEST_LAG, LONGEST_LAG = 3.0, 1.0 / 3.0
 """The shortest of them, in steps, and the longest, of the longest record. Signal: a faster one is a
 gain of the argument, a slower one its integral."""
-RINGING = {"f": 0.0, "d": 0.1}
-"""Of the oscillation, at the first peak of the residual's spectrum."""
+RINGING = 0.1
+"""Damping of the oscillation, which is at the first peak of the residual's spectrum. Signal: much
+less rings for all of a record, much more is a lag."""
 WEIGHTINGS = 160
 """Random weightings that estimate the size of a direction: the relative error of its square is the
 root of 2 over their number. Benchmark: with 96, one in ten of the stores hidden in a rod of twelve
@@ -129,7 +130,7 @@ class FreeCurve:
     name: str
     knots: FloatArray = field(repr=False)
     waves: tuple[float, ...]
-    filters: tuple[FreeFilter, ...] = ()
+    filters: tuple[FreeFilter, ...]
 
     @classmethod
     def over(
@@ -137,7 +138,7 @@ class FreeCurve:
         name: str,
         trajectories: Sequence[LinearisedTrajectory],
         waves: tuple[float, ...],
-        filters: tuple[FreeFilter, ...] = (),
+        filters: tuple[FreeFilter, ...],
     ) -> Self:
         """Over all values of an argument."""
         if name == TIME:
@@ -156,7 +157,7 @@ class FreeCurve:
             signal = trajectory.signal(self.name)
             found[:, : len(self.knots)] = hats(self.knots, signal)
             own = [each.of(trajectory.times, signal) for each in self.filters]
-            found[:, HATS:] = np.hstack(own) if own else 0.0
+            found[:, HATS:] = np.hstack(own)
         return found
 
 
@@ -188,7 +189,7 @@ def free_filters(
     ends = SHORTEST_LAG * step, max(LONGEST_LAG * longest, SHORTEST_LAG * step)
     lag, swing = FORMS["derivative", "lagged"], FORMS["output", "mode_feed_through"]
     lags = [FreeFilter(lag, (("tau", tau),)) for tau in np.geomspace(*ends, LAGS).tolist()]
-    seen = [FreeFilter(swing, tuple((RINGING | {"f": f}).items())) for f in frequencies[:1]]
+    seen = [FreeFilter(swing, (("f", f), ("d", RINGING))) for f in frequencies[:1]]
     return (*lags, *seen)
 
 

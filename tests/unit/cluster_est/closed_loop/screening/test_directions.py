@@ -188,3 +188,16 @@ def test_values_of_single_experiments_are_unknowns_of_their_own():
     assert set(labels) <= set(grown.estimates)
     assert store.sizes(values) == values[:-1]
     assert store.point(values) == pytest.approx((0.01, float(np.mean(values[1:-1])), 30.0))
+
+
+def test_of_two_time_constants_the_slow_one_is_called_so():
+    problem = missing_effect_problem("cascaded_tanks")
+    with opened(problem) as bench:
+        fitted = unfitted(bench)
+        runs = bench.fitter.trajectories(fitted)
+        settings = LoopSettings(forms=("two_stores",), sites=("der(h1)",))
+        (stores,) = make_candidates(problem, bench.fitter.description, runs, [], settings)
+        crossed = unfitted(bench, fitted.start.plus(stores, (0.01, 0.02, 200.0, 30.0)))
+        again = unfitted(bench, crossed.start)
+    assert again.coefficients(stores) == pytest.approx([0.02, 0.01, 30.0, 200.0])
+    np.testing.assert_allclose(again.residuals, crossed.residuals, rtol=1e-6, atol=1e-6)
