@@ -82,7 +82,9 @@ class ClosedLoop(Study[LoopResult]):
     def run(self, environment: RunEnvironment) -> LoopResult:
         rows = self.thinning.most()
         found = run_loop(LoopRequest(self.problem, environment, self.settings, self.seed, rows))
-        return replace(found, after=with_states(found.after, environment.resources))
+        after = with_states(found.after, environment.resources)
+        nothing_added = found.before is found.after
+        return replace(found, before=after if nothing_added else found.before, after=after)
 
 
 def close_loop(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -94,9 +95,13 @@ def read_history(folder: Path) -> list[RunHistory]:
     RunFolderError
         If a history is damaged.
     """
-    own = _sweep_file(folder)
-    beside = [each for each in folder.absolute().parent.iterdir() if _sweep_file(each) == own]
-    folders = dict.fromkeys(each.resolve() for each in ([folder, *beside] if own else [folder]))
+    own, folders = _sweep_file(folder), {folder.resolve(): None}
+    with suppress(OSError):  # whoever may not list the folder above sees this sweep alone
+        folders |= {
+            each.resolve(): None
+            for each in folder.absolute().parent.iterdir()
+            if own and _sweep_file(each) == own
+        }
     paths = [each / SWEEP_HISTORY_FILE for each in folders]
     rows = [row for path in paths if path.is_file() for row in read_run_table(path)]
     known: dict[str, list[Row]] = {}
