@@ -6,6 +6,7 @@ simulations in which the effect itself acts.
 
 import re
 import zlib
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ from cluster_est.closed_loop.settings import LoopSettings, LoopStage
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from workers.effects.definition import define
 from workers.effects.forms import FORMS
+from workers.effects.kinds import FormCoefficient
 from workers.effects.site import parse_site
 
 NAMES = (
@@ -44,6 +46,15 @@ KINK = re.compile(r"max|min|abs|where|sign|tanh")
 WAVES_IN_A_RECORD = 5.0
 VISITED = {"coulomb_table_25": ("mass_spring_damper",)}
 """Systems on which each value of a curve has more samples than the two around a switch."""
+
+
+def labels_of(candidate: EffectCandidate, coefficients: Sequence[FormCoefficient]) -> list[str]:
+    """Names of coefficients, one for each value: where an experiment has its own, with its name."""
+    return [
+        f"{c.name}[{experiment}]" if c.each else c.name
+        for c in coefficients
+        for experiment in (candidate.experiments if c.each else ("",))
+    ]
 
 
 @dataclass(frozen=True)
@@ -62,14 +73,17 @@ class SimulatedSystem:
     def simulated(self, trial: CandidatePoint, amounts: list[float]) -> np.ndarray:
         """The same by simulation: central differences, or the whole change of a finite effect."""
         candidate = trial.candidate
-        names = [c.name for c in candidate.form.coefficients]
-        space = self.bench.fitter.space(self.fitted.start.plus(candidate, trial.values))
-        rows = [trial.values]
+        names = labels_of(candidate, candidate.form.coefficients)
+        counts = candidate.counts(candidate.form.coefficients)
+        values = [v for v, n in zip(trial.values, counts, strict=True) for _ in range(n)]
+        space = self.bench.fitter.space(self.fitted.start.plus(candidate, values))
+        rows = [values]
         if candidate.strengths:
+            strengths = labels_of(candidate, candidate.own_strengths)
             rows = [
                 [way * amount if n == strength else value
-                 for n, value in zip(names, trial.values, strict=True)]
-                for strength, amount in zip(candidate.strengths, amounts, strict=True)
+                 for n, value in zip(names, values, strict=True)]
+                for strength, amount in zip(strengths, amounts, strict=True)
                 for way in (1.0, -1.0)
             ]  # fmt: skip
         own = space.unknowns[self.fitted.space.size :]

@@ -157,7 +157,8 @@ def _describe(
     period = period_of(candidate, found.current)
     labels = [f"{name}.{c.name}" for c in candidate.form.coefficients]
     known = [[e.value for e in coefficients if e.parameter == label] for label in labels]
-    named = namer.name(candidate, [float(np.mean(own)) for own in known], curve)
+    values = [float(np.mean(own)) if own else np.nan for own in known]
+    named = namer.name(candidate, values, curve)
     also = _agreeing(fitter, result, namer, named, curve)
     return NamedEffect(
         effect=candidate.effect,

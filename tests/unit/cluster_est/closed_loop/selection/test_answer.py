@@ -174,9 +174,10 @@ def test_effects_of_one_place_and_argument_are_one_finding():
     (both,) = fitted.added
     parts = [replace(both, effect=replace(both.effect, name=name)) for name in ("one", "other")]
     first, *_, second, third = fitted.space.unknowns
+    names = [f"{part.effect.name}.{part.strengths[0]}" for part in parts]
     split = tuple(
-        replace(u, label=f"{part.effect.name}.{part.strengths[0]}")
-        for u, part in zip((second, third), parts, strict=True)
+        replace(u, label=name, parameter=replace(u.parameter, name=name))
+        for u, name in zip((second, third), names, strict=True)
     )
     space = replace(fitted.space, unknowns=(first, *split))
     solution = Solution(fitted.x, fitted.sse, Ending.CONVERGED, jacobian=fitted.jacobian)
