@@ -229,6 +229,7 @@ def grow(
         unchanged = grown.model is best.won.fitted
         prediction = best.prediction if unchanged else predict(fitter, grown.model)
         if grown.model.structure != best.won.fitted.structure:
+            log.keep(AcceptedStructure(best.won.fitted, best.prediction, grown.rivals))
             log.accept(grown.model, grown.move)
         if grown.model.structure in passed:
             break
@@ -304,12 +305,16 @@ class SearchLog:
 
     def note(self, now: AcceptedStructure, begun: RoundStart, end: RoundEnd) -> None:
         """Note what a round has looked at, and where it began."""
-        self.accepted.append(replace(now, beside=()))
+        self.keep(now)
         seen = replace(end.seen, screening=end.seen.screening.without_directions())
         self.rounds.append(seen)
         records, number = self.fitter.records, len(self.rounds)
         self.seen += evidence_of_round(records, begun.model, end, number)
         self.path += compared_structures(records, self.base, end, self.floor, number)
+
+    def keep(self, structure: AcceptedStructure) -> None:
+        """Keep a structure, which may be the answer."""
+        self.accepted.append(replace(structure, beside=(), rounds=len(self.rounds)))
 
     def accept(self, fitted: FittedModel, move: LoopPart | None) -> None:
         """Note a structure that takes the place of one that was compared."""

@@ -94,7 +94,8 @@ def ending_at(found: SelectionResult, number: int) -> SelectionResult:
 
     What was accepted later did not predict better what was left out.
     """
-    then, steps = found.accepted[number], found.steps[: number + 1]
+    then, steps = found.accepted[number], found.steps
+    steps = steps[: then.rounds + 1]
     if number < len(found.accepted) - 1:
         steps = _ended(steps, RejectionReason.REFITS)
     return replace(

@@ -226,12 +226,16 @@ class ComparedStructure:
 
 @dataclass(frozen=True)
 class AcceptedStructure:
-    """A structure that was accepted, fitted, and the structures that it was compared with."""
+    """A structure that was accepted, fitted, and the structures that it was compared with.
+
+    `rounds` counts those that led to it.
+    """
 
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction
     rivals: Rivals = field(default_factory=dict, repr=False)
     beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    rounds: int = 0
 
 
 @dataclass(frozen=True)
@@ -251,7 +255,8 @@ class SelectionResult:
     path
         The structures that were compared, in the order of the rounds, the best of each first.
     accepted
-        The structure that each round began at, the declared model first.
+        The structures that passed the gates, and what revision made of them, the declared model
+        first.
     """
 
     base: FittedModel = field(repr=False)

@@ -37,8 +37,8 @@ def prediction(*squares):
 def searched(*path):
     """A search that has accepted these structures: their effects and what they predict."""
     accepted = [
-        AcceptedStructure(fit_with_squares(PROBLEM, 9.0, added), prediction(*squares))
-        for added, squares in path
+        AcceptedStructure(fit_with_squares(PROBLEM, 9.0, added), prediction(*squares), rounds=n)
+        for n, (added, squares) in enumerate(path)
     ]
     screening = made_screening(np.ones((90, 1)), np.ones(90), [np.ones((90, 1))], [A])
     rounds = [made_round(None, screening) for _ in accepted[:-1]]
@@ -105,6 +105,18 @@ def test_what_came_after_the_answer_is_no_longer_accepted_and_the_reason_is_said
     assert len(best.steps) == 2
     assert best.prediction.total == 3.0
     assert ending_at(found, 2).last.why is RejectionReason.NOT_SIGNIFICANT
+
+
+def test_what_a_revision_changed_may_be_the_answer():
+    """The first round accepts a, of which the revision makes b: the second round begins at b."""
+    found = searched(((), (9, 9, 9)), ((A,), (1, 1, 1)), ((B,), (2, 2, 2)))
+    declared, first, revised = found.accepted
+    found = replace(
+        found, accepted=(declared, first, replace(revised, rounds=1)), steps=found.steps[1:]
+    )
+    best = ending_at(found, best_ancestors(found.accepted)[-1])
+    assert effects(best) == ["a"]
+    assert [each.why for each in best.steps] == [None, RejectionReason.REFITS]
 
 
 def test_no_order_of_parts_and_no_unit_matters():
