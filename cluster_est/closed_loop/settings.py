@@ -90,6 +90,7 @@ class LoopPart(enum.StrEnum):
     NUMERICAL = "numerical error"
     PREDICTION = "prediction"
     LEAST_GAIN = "least gain"
+    NEXT_BEST = "next best"
     ANSWER = "answer"
     STRENGTHS = "strengths"
 

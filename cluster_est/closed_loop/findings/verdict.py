@@ -354,8 +354,7 @@ def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[flo
     base, last = found.base.sse, found.current.sse
     gap = base - min(floor, last)
     training = (base - last) / gap if gap > 0.0 else 0.0  # of any unit, however small its squares
-    before, after = found.base_prediction.total, found.prediction.total
-    predicted = (before - after) / max(before - floor, VERDICT.negligible * floor)
+    predicted = found.prediction.closes(found.base_prediction, floor, VERDICT.negligible)
     return float(training), float(predicted)
 
 

@@ -59,6 +59,7 @@ FEW_EXPERIMENTS = 2
 be one left, or none."""
 QUARTERS = 4
 """Parts of a record that is left out in parts."""
+TINY = float(np.finfo(float).tiny)
 STEPS_WITHOUT_PART = 6
 """Of a refit without a part, which starts close to its end."""
 FIRST_DAMPING = 1e-5
@@ -77,17 +78,38 @@ definition: an effect that acts in few parts changes nothing in the others."""
 
 @dataclass(frozen=True)
 class LeaveOneOutPrediction:
-    """A sum of squares for each part that was left out."""
+    """A sum of squares for each part that was left out.
+
+    `quarters` says that the parts are quarters of records. One that is extrapolated, such as the
+    first, may have nearly all of the squares, so each quarter counts as much as the others.
+    """
 
     squares: FloatArray
+    quarters: bool = False
 
     @property
     def total(self) -> float:
         return float(self.squares.sum())
 
+    def closes(self, other: LeaveOneOutPrediction, floor: float = 0.0, least: float = 0.0) -> float:
+        """Return the share of the gap between another's squares and noise that is closed.
+
+        Parameters
+        ----------
+        floor
+            Sum of squares that the noise alone would leave.
+        least
+            Share of it that a gap counts as at least.
+        """
+        if not self.quarters:
+            return (other.total - self.total) / max(other.total - floor, least * floor, TINY)
+        own = floor / len(self.squares)
+        gaps = np.maximum(other.squares - own, max(least * own, TINY))
+        return float(np.mean(np.clip((other.squares - self.squares) / gaps, -1.0, 1.0)))
+
     def is_better_than(self, other: LeaveOneOutPrediction) -> bool:
         """Return whether the parts are predicted better: in total, and most of them."""
-        if self.total >= other.total:
+        if self.closes(other) <= 0.0:
             return False
         change = self.squares - other.squares
         told = np.abs(change) > TOLD_APART * max(self.total, other.total) / len(change)
@@ -111,7 +133,7 @@ def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
     space = fitted.space.starting_at(fitted.x)
     stage = LoopStage.LEAVE_ONE_OUT.value
     found = fitter.runner.run([SearchRequest(stage, refit, space, fitter.seed) for refit in refits])
-    return LeaveOneOutPrediction(np.array([end.cost for end in found]))
+    return LeaveOneOutPrediction(np.array([end.cost for end in found]), quarters=not whole)
 
 
 @final

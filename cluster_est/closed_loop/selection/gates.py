@@ -105,7 +105,7 @@ class Attempt:
 
     @property
     def predicts_better(self) -> bool:
-        return self.after.total < self.begun.prediction.total
+        return self.after.closes(self.begun.prediction) > 0.0
 
 
 @dataclass(frozen=True)
@@ -250,6 +250,9 @@ GATES = (
 )
 """In the order in which they are asked."""
 
+OF_ONE_STRUCTURE = (LoopPart.PREDICTION, LoopPart.LEAST_GAIN)
+"""Gates that say nothing of structures that fit worse: others refuse them too."""
+
 
 def reason_to_stop(begun: RoundStart) -> RejectionReason | None:
     """Return why nothing need be refitted; None if something may be missing."""
@@ -264,7 +267,10 @@ def first_refusal(fitter: Fitter, attempt: Attempt) -> Gate | None:
 
 
 def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandidate]) -> RoundEnd:
-    """Return the best proposal that stays bounded, if it passes the gates.
+    """Return the best proposal that stays bounded and passes the gates.
+
+    What fits best may predict badly, as a flexible law does. So where that is why it is refused,
+    the next best ones are asked, as many as the beam is wide.
 
     Parameters
     ----------
@@ -284,24 +290,27 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         known = {id(contender) for contender in kept}
         stopped |= {c.fitted.structure: filter_.part for c in left if id(c) not in known}
         left, why = kept, why if kept else filter_.reason
-    while left:
+    refused: SelectionRound | None = None
+    tries = begun.settings.beam if begun.has(LoopPart.NEXT_BEST) else 1
+    while left and tries:
         chosen = most_parsimonious(left)
-        if may_go_on(fitter, begun, chosen.fitted, current):
-            break
-        stopped[chosen.fitted.structure] = LoopPart.BOUNDED
-        left = [c for c in left if c is not chosen]
-    if not left:
-        return RoundEnd(SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
-    after = predict(fitter, chosen.fitted)
-    gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
-    coloured = coloured_noise_explains(fitter.records, begun, chosen)
-    failed = first_refusal(fitter, Attempt(begun, chosen, after, gain, closed, coloured))
-    if failed is None:
-        seen = SelectionRound(begun.screening, tuple(left), None, gain, closed, coloured)
-        return RoundEnd(seen, chosen, after, stopped=stopped)
-    stopped[chosen.fitted.structure] = failed.part
-    seen = SelectionRound(begun.screening, tuple(left), failed.reason, gain, closed, coloured)
-    return RoundEnd(seen, stopped=stopped)
+        rest = [c for c in left if c is not chosen]
+        if not may_go_on(fitter, begun, chosen.fitted, current):
+            stopped[chosen.fitted.structure] = LoopPart.BOUNDED
+            left = rest
+            continue
+        after = predict(fitter, chosen.fitted)
+        gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
+        coloured = coloured_noise_explains(fitter.records, begun, chosen)
+        failed = first_refusal(fitter, Attempt(begun, chosen, after, gain, closed, coloured))
+        why = None if failed is None else failed.reason
+        seen = SelectionRound(begun.screening, tuple(left), why, gain, closed, coloured)
+        if failed is None:
+            return RoundEnd(seen, chosen, after, stopped=stopped)
+        stopped[chosen.fitted.structure] = failed.part
+        refused, left = refused or seen, rest
+        tries = tries - 1 if failed.part in OF_ONE_STRUCTURE else 0
+    return RoundEnd(refused or SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
 
 
 def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: FittedModel) -> bool:
@@ -378,8 +387,7 @@ def _coloured_gain(
 
 def _closed(begun: RoundStart, after: LeaveOneOutPrediction) -> float:
     """Share of the gap between predictions and noise that is closed."""
-    before, floor = begun.prediction, begun.floor
-    return (before.total - after.total) / max(before.total - floor, VERDICT.negligible * floor)
+    return after.closes(begun.prediction, begun.floor, VERDICT.negligible)
 
 
 def _may_leave_noise(attempt: Attempt) -> bool:

@@ -309,7 +309,10 @@ def restart(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
 
 
 def replace_earlier(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
-    """Replace earlier effects that others are better than now."""
+    """Replace earlier effects that others are better than now, also in coloured noise.
+
+    Where more than white noise is left, the criterion sees differences that are none.
+    """
     if len(grown.model.added) < 2:
         return grown
     for sweep in range(REVISION.sweeps):
@@ -317,7 +320,9 @@ def replace_earlier(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revise
         for position in range(len(grown.model.added) - (sweep == 0)):
             places, rise = (position,), -REVISION.swap
             found = _instead(fitter, begun, grown.model, places, rise, LoopPart.REPLACE)
-            if found is not None:
+            if found is None:
+                continue
+            if min(criterion_falls(fitter.records, grown.model, found[0].fitted)) > 0.0:
                 # in its old place, so that the other positions still mean the same effects
                 model = found[0].fitted.moved(position)
                 grown = replace(grown, model=model, rivals={**grown.rivals, **found[1]})
