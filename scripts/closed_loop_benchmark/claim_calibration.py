@@ -28,9 +28,10 @@ from cluster_est.closed_loop.findings.claims import (
 )
 
 WEIGHTS = ("fewer", "clean", "apart", "chosen")
-PENALTY = 1.0
+PENALTY = 0.1
 """Of the squares of the weights of standardised figures, in -2 log likelihood: a prior with a
-standard deviation of 1, which keeps weights finite where a figure alone tells right from wrong."""
+standard deviation of 3, which keeps weights finite where a figure alone tells right from wrong.
+From 0.03 to 3 the Brier score of 306 claims stayed within 0.0001."""
 BINS = 5
 
 
