@@ -243,7 +243,8 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         named = _best_tried(fitter, found)
     if not fitter.predicts:  # the benchmark has hardly any claims under process noise
         errors = over_noise(fits.errors, judgement.noise)
-        named = with_claims(named, errors, compared, claimed=keep)
+        declared = fitter.sigma_declared
+        named = with_claims(named, errors, compared, declared=declared, claimed=keep)
     said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
     said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE

@@ -26,6 +26,7 @@ def with_claims(
     errors: Sequence[ErrorChange],
     structures: Sequence[ComparedStructure],
     *,
+    declared: bool,
     claimed: bool,
 ) -> tuple[NamedEffect, ...]:
     """Give each effect of a set what speaks for it, and how sure it is.
@@ -38,6 +39,10 @@ def with_claims(
         Before, and with all effects.
     structures
         All that were compared.
+    declared
+        The noise is declared. Estimated, it is that of all training experiments: what is left of
+        held-out ones is then compared with the training experiment with the largest error, because
+        experiments may differ in their noise.
     claimed
         The effects are claimed; else they are leads.
 
@@ -49,7 +54,10 @@ def with_claims(
     known = comparable(errors)
     role: Role = "test" if any(each.role == "test" for each in known) else "train"
     before, after = (pooled_error(known, role, after=a) ** 2 for a in (False, True))
-    left = np.array([largest_error(known, role) for role in ("train", "test")])
+    noisiest = 1.0
+    if not declared:
+        noisiest = max([1.0, *(e.normalised_after for e in known if e.role == "train")])
+    left = np.array([largest_error(known, "train"), largest_error(known, "test") / noisiest])
     if np.isnan(left).all():  # no noise is known that an error could be compared with
         return tuple(effects)
     places = [(effect.site, effect.variables) for effect in effects]

@@ -348,7 +348,7 @@ def _place(candidate: EffectCandidate) -> str:
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
     value, low, high = estimate.value, estimate.lower95, estimate.upper95
-    long = estimate.unit == "s" and abs(value) > LONG
+    long = estimate.unit == "s" and abs(value) > LONG_TIME
     number: Callable[[float], str] = readable_time if long else "{:.4g}".format
     said = f"{name} = {number(value)}{'' if long else in_unit(estimate.unit)}"
     if estimate.at_bound:
@@ -358,7 +358,7 @@ def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     return f"{said} (not determined)"
 
 
-LONG = 120.0
+LONG_TIME = 120.0
 """Seconds above which a time is said in minutes, hours or days."""
 
 

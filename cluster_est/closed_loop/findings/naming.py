@@ -126,10 +126,10 @@ def _at_lowest(candidate: EffectCandidate, values: Sequence[float]) -> bool:
     """Return whether a wave is as long as the search allows it to be."""
     numbers = {c.name: i for i, c in enumerate(candidate.form.coefficients)}
     i = numbers.get("n", len(values))
-    return i < len(values) and values[i] <= (1.0 + AT_BOUND) * candidate.lowest[i]
+    return i < len(values) and values[i] <= (1.0 + AT_LOWEST) * candidate.lowest[i]
 
 
-AT_BOUND = 1e-6
+AT_LOWEST = 1e-6
 """Relative distance within which a coefficient is at its bound: that of rounding."""
 
 

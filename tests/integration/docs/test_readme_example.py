@@ -39,7 +39,7 @@ def words(line: str) -> str:
 def test_the_readme_shows_what_is_printed(run, capsys):
     assert main(["show", str(run)]) == 0
     printed = {words(line): line for line in capsys.readouterr().out.splitlines()}
-    assert len(shown()) == 9
+    assert len(shown()) == 10
     for line in shown():
         assert words(line) in printed
         found = [float(n) for n in NUMBER.findall(printed[words(line)])]

@@ -135,7 +135,7 @@ ROWS = (
 
 
 def evidence(effects, errors=(ERROR, HELD_OUT), structures=ROWS) -> list[ClaimEvidence]:
-    found = with_claims(effects, errors, structures, claimed=True)
+    found = with_claims(effects, errors, structures, declared=True, claimed=True)
     return [each.claim.evidence for each in found]
 
 
@@ -159,19 +159,28 @@ def test_effects_of_one_place_and_argument_share_it():
     assert not any(each.shared for each in evidence(over))
 
 
+@pytest.mark.parametrize(("declared", "left"), [(True, 1.5), (False, 1.25)])
+def test_experiments_may_differ_in_noise_that_is_estimated(declared, left):
+    loud = replace(HELD_OUT, normalised_after=1.5)
+    quiet = replace(ERROR, experiment="c", normalised_after=0.8)
+    errors = [replace(ERROR, normalised_after=1.2), quiet, loud]
+    (found,) = with_claims([FRICTION], errors, ROWS, declared=declared, claimed=True)
+    assert found.claim.evidence.left == pytest.approx(left)
+
+
 def test_nothing_is_said_where_no_noise_is_known():
     unknown = replace(ERROR, normalised_before=np.nan, normalised_after=np.nan)
-    assert with_claims([FRICTION], [unknown], ROWS, claimed=True) == (FRICTION,)
+    assert with_claims([FRICTION], [unknown], ROWS, declared=True, claimed=True) == (FRICTION,)
     assert how_sure([FRICTION], claimed=True) == ""
 
 
 def test_the_summary_says_how_sure_each_effect_is():
     curve = replace(GAIN, family="table")
-    found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, claimed=True)
+    found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, declared=True, claimed=True)
     said = how_sure(found, claimed=True)
     assert said.startswith("probability that place and kind are right: coulomb at der(v) ")
     assert said.endswith("(its place)")
-    leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, claimed=False)
+    leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, declared=True, claimed=False)
     assert how_sure(leads, claimed=False).startswith(
         "coulomb at der(v) and gain at output y: a lead"
     )
