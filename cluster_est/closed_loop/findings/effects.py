@@ -143,8 +143,8 @@ class NamedEffect:
         return self.effect.variables
 
     def coefficient(self, estimate: Estimate) -> str:
-        """Return the name of a coefficient without that of the effect."""
-        return estimate.parameter.removeprefix(f"{self.name}.")
+        """Return the label of a coefficient without the effect's name, as "k", or "a[exp5]"."""
+        return estimate.label.removeprefix(f"{self.name}.")
 
 
 @dataclass(frozen=True)
@@ -323,7 +323,8 @@ def config_block(effect: NamedEffect) -> str:
     """
     neutral, sections = dict(effect.effect.coefficients), {}
     for estimate in effect.coefficients:
-        name, fixed = effect.coefficient(estimate), estimate.estimated_on == "known"
+        name = estimate.parameter.removeprefix(f"{effect.name}.")
+        fixed = estimate.estimated_on == "known"
         bounds = () if fixed else (estimate.lower, estimate.upper)
         section = _section(estimate.value, neutral.get(name), bounds, estimate.scale, fixed=fixed)
         section |= {"per": "experiment"} if estimate.label != estimate.parameter else {}

@@ -85,6 +85,14 @@ def test_it_begins_as_warm_as_it_was_in_each_experiment(found):
     assert any("fitted to the held-out data" in note for note in found.notes)
 
 
+def test_tables_and_reports_tell_the_experiments_apart(found, tmp_path):
+    named = found.table("effects").column("coefficient").to_pylist()
+    assert named.count("k") == 1
+    assert {f"a[{name}]" for name in WALLS} <= set(named)
+    ce.report(found, tmp_path / "report.html")
+    assert "a[warm]" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_its_block_for_a_config_says_so(found):
     (effect,) = found.effects
     block = config_block(effect)
