@@ -303,8 +303,9 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
         coloured = coloured_noise_explains(fitter.records, begun, chosen)
         failed = first_refusal(fitter, Attempt(begun, chosen, after, gain, closed, coloured))
-        why = None if failed is None else failed.reason
-        seen = SelectionRound(begun.screening, tuple(left), why, gain, closed, coloured)
+        seen = SelectionRound(
+            begun.screening, tuple(left), failed and failed.reason, gain, closed, coloured
+        )
         if failed is None:
             return RoundEnd(seen, chosen, after, stopped=stopped)
         stopped[chosen.fitted.structure] = failed.part
