@@ -304,7 +304,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         coloured = coloured_noise_explains(fitter.records, begun, chosen)
         failed = first_refusal(fitter, Attempt(begun, chosen, after, gain, closed, coloured))
         seen = SelectionRound(
-            begun.screening, tuple(left), failed and failed.reason, gain, closed, coloured
+            begun.screening, tuple(left), failed.reason if failed else None, gain, closed, coloured
         )
         if failed is None:
             return RoundEnd(seen, chosen, after, stopped=stopped)
