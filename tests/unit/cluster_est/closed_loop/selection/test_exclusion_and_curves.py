@@ -14,7 +14,9 @@ from support.loop_objects import (
     made_start,
 )
 
-from cluster_est.closed_loop.selection import free_curves
+from cluster_est import LoopSettings
+from cluster_est.closed_loop.selection import free_curves, gates
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import reason_to_stop
 from cluster_est.closed_loop.selection.moves import exclude
 from cluster_est.closed_loop.selection.rounds import (
@@ -120,3 +122,59 @@ def test_curves_of_a_switch_are_looked_for_after_the_others_have_been_refined(mo
     assert sorted(seen[0]) == ["curve", "finer"]
     assert sorted(seen[1]) == ["curve", "finer", "finer", "switched"]
     assert seen[2] == seen[1]
+
+
+@pytest.mark.parametrize(
+    ("without", "chosen", "refused"),
+    [((), "right", {"wrong"}), ((LoopPart.NEXT_BEST,), None, {"wrong"})],
+)
+def test_where_the_best_predicts_badly_the_next_best_is_asked(
+    monkeypatch, without, chosen, refused
+):
+    """A flexible law follows what it was fitted to better than the right one does."""
+    predicted = {"wrong": 2.0 * NOTHING, "right": BOTH}
+    monkeypatch.setattr(gates, "FILTERS", ())
+    monkeypatch.setattr(gates, "may_go_on", lambda *_: True)
+    monkeypatch.setattr(gates, "coloured_noise_explains", lambda *_: False)
+    monkeypatch.setattr(
+        gates,
+        "predict",
+        lambda _, fitted: LeaveOneOutPrediction(np.array([predicted[fitted.added[0].effect.name]])),
+    )
+    begun = begun_at(fit_with_squares(PROBLEM, NOTHING))
+    begun = replace(begun, settings=LoopSettings(without=without))
+    fitter = KnownFits({})
+    contenders = []
+    for candidate, squares in ((WRONG, 0.9 * BOTH), (RIGHT, BOTH)):
+        fitted = fit_with_squares(PROBLEM, squares, (candidate,))
+        contenders.append(made_refit(fitted, fitted.criterion(fitter.records)))
+    end = gates.choose(fitter, begun, contenders)
+    assert (end.won and end.won.candidate.effect.name) == chosen
+    assert set().union(*end.stopped) == refused
+    assert (end.seen.why is None) == (chosen is not None)
+
+
+def test_no_quarter_of_a_record_decides_alone():
+    """The first is extrapolated, and has 95 % of the squares; the others are far better."""
+    before = LeaveOneOutPrediction(np.array([61.9, 4.9, 3.4, 4.3]) ** 2, quarters=True)
+    after = LeaveOneOutPrediction(np.array([72.1, 1.2, 1.1, 1.4]) ** 2, quarters=True)
+    assert after.total > before.total
+    assert after.is_better_than(before)
+    assert not before.is_better_than(after)
+    records = [replace(each, quarters=False) for each in (before, after)]
+    assert not records[1].is_better_than(records[0])
+
+
+@pytest.mark.parametrize("quarters", [True, False])
+def test_the_share_that_is_closed_has_no_unit(quarters):
+    random = np.random.default_rng(3)
+    for unit in (1e-9, 1.0, 1e9):
+        before, after = (
+            LeaveOneOutPrediction(unit * random.uniform(1.0, 2.0, 4), quarters) for _ in range(2)
+        )
+        share = after.closes(before, 0.4 * unit)
+        scaled = [replace(each, squares=each.squares / unit) for each in (before, after)]
+        assert share == pytest.approx(scaled[1].closes(scaled[0], 0.4))
+        assert before.closes(before) == 0.0
+        nothing = replace(before, squares=np.full(4, 0.1 * unit))
+        assert nothing.closes(before, 0.4 * unit) == pytest.approx(1.0)
