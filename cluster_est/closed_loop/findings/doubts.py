@@ -2,13 +2,15 @@
 
 An effect may stand in for what lies beyond the bound of a declared parameter. A law whose shape is
 at the end of its range is another law, of which it is a piece: saturation with a knee far beyond
-the data is a line. A fit that has not converged has no intervals to judge an effect by.
+the data is a line. A fit that ended far from its minimum has no intervals to judge an effect by.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+
+import numpy as np
 
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
@@ -41,7 +43,8 @@ def doubted(
     slow = {model: _not_converged(model, fit) for model, fit in fits.items() if not fit.success}
     if not added:
         return judged, tuple(slow.values())
-    said = (*_at_bounds(added, after), *filter(None, [slow.get("the model with the effects")]))
+    far = [] if _at_its_minimum(after) else [slow["the model with the effects"]]
+    said = (*_at_bounds(added, after), *far)
     if said and judged.verdict is Verdict.FOUND:
         reason = "; ".join([judged.reason, *said])
         judged = replace(judged, verdict=Verdict.PARTIAL, reason=reason)
@@ -66,6 +69,23 @@ def _at_bounds(added: Collection[str], after: Result) -> list[str]:
             "another one, so the name of the effect is in doubt"
         )
     return said
+
+
+def _at_its_minimum(fit: Result) -> bool:
+    """Return whether the data cannot tell the last point of a fit from the minimum.
+
+    Its derivatives promise that the squares still fall by no more than those of one standard error,
+    as where noise of the simulations hides the last steps.
+    """
+    jacobian, at = fit.solution.jacobian, fit.solution.at
+    if fit.success:
+        return True
+    if jacobian is None or at is None or len(at.residuals) != len(jacobian):
+        return False
+    residuals, degrees = at.residuals, len(jacobian) - jacobian.shape[1]
+    step = np.linalg.lstsq(jacobian, -residuals, rcond=1e-12)[0]
+    fall = residuals @ residuals - np.sum((residuals + jacobian @ step) ** 2)
+    return bool(degrees > 0 and fall <= residuals @ residuals / degrees)
 
 
 def _held(each: Estimate) -> str:

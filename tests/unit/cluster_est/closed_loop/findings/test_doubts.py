@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.loop_objects import made_problem, made_result
 from support.named_effects import estimate
@@ -7,7 +8,8 @@ from support.named_effects import estimate
 from cluster_est.closed_loop.findings.doubts import doubted
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
-from cluster_est.methods.method import Ending
+from cluster_est.methods.method import Ending, Evaluation
+from workers.messages import Outcome, Status
 
 DONE = made_result(made_problem(50), ())
 SLOW = replace(DONE, solution=replace(DONE.solution, ending=Ending.MAX_ITERATIONS))
@@ -55,6 +57,19 @@ def test_a_fit_of_the_declared_model_alone_bars_nothing_that_was_found():
     judged, said = doubted(FOUND, {"e"}, SLOW, DONE)
     assert judged is FOUND
     assert said[0].startswith("the last fit of the declared model did not converge")
+
+
+@pytest.mark.parametrize(("errors", "verdict"), [(0.7, Verdict.FOUND), (3.0, Verdict.PARTIAL)])
+def test_a_fit_that_ends_within_a_standard_error_of_its_minimum_is_good_enough(errors, verdict):
+    """Of 50 residuals of size 1 and one unknown; that it did not converge is said all the same."""
+    residuals = np.tile([1.0, -1.0], 25)
+    column = np.ones((50, 1)) / np.sqrt(50.0)
+    seen = Outcome(0, Status.OK, residuals + errors * column[:, 0])
+    at = Evaluation((seen,), 1.0)
+    solution = replace(SLOW.solution, jacobian=column, at=at)
+    judged, said = doubted(FOUND, {"e"}, DONE, replace(SLOW, solution=solution))
+    assert judged.verdict is verdict
+    assert said[0].startswith("the last fit of the model with the effects did not converge")
 
 
 def test_where_nothing_was_added_bounds_are_no_doubt_of_an_effect():
