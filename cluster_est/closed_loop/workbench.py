@@ -242,8 +242,9 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
     kinds = {parse_site(site, "closed_loop.sites").kind for site in settings.sites or offered}
     if settings.forms and not any((kind, f) in FORMS for kind in kinds for f in settings.forms):
         raise ProblemError(
-            f"closed_loop.effects: must name a form for one of the sites but {settings.forms} are "
-            f"not for {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
+            f"closed_loop.effects: must name a form for one of the sites, but none of "
+            f"{', '.join(settings.forms)} can act at {' or '.join(sorted(kinds))} sites; change "
+            "closed_loop.effects or closed_loop.sites"
         )
 
 

@@ -226,12 +226,13 @@ def _check_shared(where: str, given: OutputSection, first: OutputSection) -> Non
         if value != elsewhere and "shared" in (value, elsewhere):
             raise ConfigError(
                 f'{where}.{key}: must be "shared" in all experiments with this output, or in none, '
-                f"but is {value!r} here and {elsewhere!r} before; write it in experiment_defaults"
+                f"but is {value!r} here and {elsewhere!r} in an earlier experiment; write {key} in "
+                "experiment_defaults"
             )
         if value == "shared" and given.ordinal:
             raise ConfigError(
                 f'{where}.{key}: must not be "shared" for an ordinal output, because an order has '
-                "no scale, but both are given; remove one of the two"
+                f"no scale; remove {key} or ordinal"
             )
     if given.free_offset == "shared" and given.free_scale is True:
         raise ConfigError(

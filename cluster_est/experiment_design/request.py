@@ -235,8 +235,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         own = [u.label for u in unknowns if name in (u.label, u.parameter.name)]
         if not own:
             raise ProblemError(
-                "parameters: must be among the estimates of the run but has "
-                f"{name!r}{nearest(name, labels)}"
+                "parameters: must be among the estimates of the run, but "
+                f"{name!r} is not{nearest(name, labels)}"
             )
         found += own
     return tuple(dict.fromkeys(found))

@@ -452,8 +452,8 @@ def _refuse_changed_clocks(stamps: Stamps) -> None:
             np.datetime64(int(each), "ns").astype("datetime64[s]") for each in ns[i : i + 2]
         )
         raise StampError(
-            f"goes from {before} to {after}, like clocks at the change of summer time; say where "
-            'they were recorded with time_zone = "Europe/Berlin", or time_zone = "UTC" if they '
+            f"goes from {before} to {after}, like clocks when summer time begins or ends; say "
+            'where they were recorded with time_zone = "Europe/Berlin", or time_zone = "UTC" if they '
             "were not changed",
             row,
         )
