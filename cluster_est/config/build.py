@@ -294,7 +294,7 @@ def _table(name: str, section: MapSection) -> ValueTable:
     check_table_name(name, where, "NAME_1, NAME_2, ...")
     if len(section.variables) != count:
         raise ConfigError(
-            f"{where}.variables: must be as many as the points, {count}, but are "
+            f"{where}.variables: must have a name for each of the {count} points but has "
             f"{len(section.variables)}; add or remove some"
         )
     if isinstance(section.start, list) and len(section.start) != count:
