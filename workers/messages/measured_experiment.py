@@ -200,7 +200,8 @@ def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
         )
     if len(points) < 2:
         raise DataError(
-            f"curve.points: must have at least two rows but has {len(points)}; a curve connects points"
+            f"curve.points: must have at least two rows but has {len(points)}; a curve connects "
+            "points"
         )
     for name, column in zip(variables, points.T, strict=True):
         check_finite(column, f"curve.points of {name!r}")
