@@ -165,9 +165,9 @@ class Settings(ConfigSection):
             named = {self.also.get(key, key): value for key, value in named.items()}
             if len(values) > len(keys) or named.keys() & keys[: len(values)]:
                 raise ProblemError(
-                    f"{self.section}: must be given each of {', '.join(keys)} once at most but is "
-                    f"given {len(values)} without names and {', '.join(named) or 'none'} with; "
-                    "name them"
+                    f"{self.section}: each of {', '.join(keys)} must be given once at most, but "
+                    f"{len(values)} values are given without names, and with names "
+                    f"{', '.join(named) or 'none'}; name all"
                 )
             given = dict(zip(keys, values, strict=False)) | named
             given = {k: v.item() if isinstance(v, np.generic) else v for k, v in given.items()}

@@ -187,7 +187,9 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
         DocumentField("then", "object", "`status`, `message` and `cost` in the log"),
         DocumentField("now", "object", "the same for the repeated simulation"),
         DocumentField(
-            "same_inputs", "true or false", "whether model, data and effects are those of the run"
+            "same_inputs",
+            "true or false",
+            "whether model, data and effects are the same as in the run",
         ),
     ),
     "forms": (DocumentField("forms", "list", "each form at each kind of site"),),

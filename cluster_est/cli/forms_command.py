@@ -35,7 +35,7 @@ SITES: dict[SiteKind, tuple[str, str]] = {
 SYMBOLS = (
     "In the equations, `v` and `w` are the variables that an effect is a function of, `t` is the "
     "time, and `z`, `y` and `e` are internal states. In the units, `site` is the unit of the "
-    "result of the equation, and `other` that of the second derivative. A strength has no "
+    "result of the equation, and `other` is the unit of the second derivative. A strength has no "
     "influence at 0, unless another value is given. A coefficient that the closed loop holds keeps "
     "its value when the effect is fitted; a coefficient that you declare is fitted unless it has "
     "`fixed = true`."

@@ -61,7 +61,7 @@ def print_question(answer: Answer, logged: LoggedSimulation, question: ReplayReq
     if not question.same:
         answer.say(
             "note: the FMU, its solver, the data, their weights or the effects are no longer "
-            "those of the run",
+            "the same as in the run",
         )
     answer.say("messages of the FMU, if any:")
 

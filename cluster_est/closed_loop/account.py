@@ -429,8 +429,8 @@ def _completed(
 
 
 NOT_THE_LAST = (
-    "the fits are those of the search, which are not refined any more, and nothing was looked for "
-    "beyond these effects; --resume continues the run"
+    "the fits come from the search and were not refined further, and nothing was looked for beyond "
+    "these effects; --resume continues the run"
 )
 
 

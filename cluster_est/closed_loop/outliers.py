@@ -368,8 +368,8 @@ class GrowingNoise:
         both += f"{self.relative_sigma:.3g}"
         if self.weighted:
             return (
-                f"{said}, so each sample was weighted with its own; write {both} into the "
-                "experiments for a fit with the same weights"
+                f"{said}, so each sample was weighted with a sigma of its own; for a fit "
+                f"with the same weights, write {both} into the experiments"
             )
         said += ", and one sigma for all gives the noisier samples too much weight"
         if np.isnan(self.sigma):

@@ -178,25 +178,25 @@ def _check_shape(problem: Problem) -> None:
     """Refuse a problem that the tests are not made for, or with too few data."""
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            "closed loop: must have the cost sse, outputs measured over time and no constraints, "
-            "because the tests of the closed loop are made for these, but has something else; "
-            "remove that, and use it in a fit before or after the closed loop"
+            "closed loop: the cost must be sse, all outputs must be measured over time, and there "
+            "must be no constraints, because the tests of the closed loop are made for this; "
+            "remove what differs, and use it in a fit before or after the closed loop"
         )
     for experiment in problem.experiments:
         for output in experiment.outputs:
             if not output.is_plain:
                 raise ProblemError(
                     f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
-                    "compared directly, because the tests of the closed loop need residuals that "
-                    f"are plain differences, but has {NOT_PLAIN}; only a scale that all "
-                    'experiments share (free_scale = "shared") is allowed'
+                    f"compared directly but has {NOT_PLAIN}; the tests of the closed loop need "
+                    "residuals that are plain differences, so only a scale that all experiments "
+                    'share (free_scale = "shared") is allowed'
                 )
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(
                 f"closed loop: {dotted('parameters', parameter.name)}.prior must be left out, "
-                "because the tests of the closed loop treat all residuals as those of "
-                "measurements; remove the prior, and use it in a fit with the effects that were "
+                "because the tests of the closed loop treat all residuals as residuals "
+                "of measurements; remove the prior, and use it in a fit with the effects that were "
                 "found"
             )
     train = make_space(problem, problem.indices("train"))
@@ -242,8 +242,9 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
     kinds = {parse_site(site, "closed_loop.sites").kind for site in settings.sites or offered}
     if settings.forms and not any((kind, f) in FORMS for kind in kinds for f in settings.forms):
         raise ProblemError(
-            f"closed_loop.effects: must name a form for one of the sites but {settings.forms} are "
-            f"not for {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
+            "closed_loop.effects: must name a form for one of the sites, but none of "
+            f"{', '.join(settings.forms)} can act at {' or '.join(sorted(kinds))} sites; change "
+            "closed_loop.effects or closed_loop.sites"
         )
 
 
@@ -327,7 +328,7 @@ def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     if not problem.indices("test"):
         notes.append(
             'no experiment has role = "test": no held-out data could contradict the finding, and '
-            "the errors are those of the data that led to it"
+            "the errors are from the data that led to it"
         )
     if len(problem.indices("train")) == 1:
         notes.append(

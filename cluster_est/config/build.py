@@ -226,12 +226,13 @@ def _check_shared(where: str, given: OutputSection, first: OutputSection) -> Non
         if value != elsewhere and "shared" in (value, elsewhere):
             raise ConfigError(
                 f'{where}.{key}: must be "shared" in all experiments with this output, or in none, '
-                f"but is {value!r} here and {elsewhere!r} before; write it in experiment_defaults"
+                f"but is {value!r} here and {elsewhere!r} in an earlier experiment; write {key} in "
+                "experiment_defaults"
             )
         if value == "shared" and given.ordinal:
             raise ConfigError(
                 f'{where}.{key}: must not be "shared" for an ordinal output, because an order has '
-                "no scale, but both are given; remove one of the two"
+                f"no scale; remove {key} or ordinal"
             )
     if given.free_offset == "shared" and given.free_scale is True:
         raise ConfigError(
@@ -293,7 +294,7 @@ def _table(name: str, section: MapSection) -> ValueTable:
     check_table_name(name, where, "NAME_1, NAME_2, ...")
     if len(section.variables) != count:
         raise ConfigError(
-            f"{where}.variables: must be as many as the points, {count}, but are "
+            f"{where}.variables: must have a name for each of the {count} points but has "
             f"{len(section.variables)}; add or remove some"
         )
     if isinstance(section.start, list) and len(section.start) != count:

@@ -111,7 +111,7 @@ def _check_step(step: StepSection, where: str) -> None:
         )
     if step.initial == step.final:
         raise ConfigError(
-            f"{where}.step_response.initial: must not be the final value but both are "
+            f"{where}.step_response.initial: must differ from final but both are "
             f"{step.final:g}; use lower and upper for a signal that does not change"
         )
 

@@ -109,7 +109,7 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
     if not inputs or len(times) < 2:
         raise ConfigError(
             f"{where}.data: {section.data} must have at least one column for an input and two "
-            f"rows but has {len(columns)} and {len(times)}"
+            f"rows but has {len(columns)} such columns and {len(times)} rows"
         )
     name = Path(section.data).stem
     return Experiment(name, float(times[0]), float(times[-1]), inputs, ())

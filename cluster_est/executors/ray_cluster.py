@@ -47,14 +47,14 @@ def why_not_joined(address: str) -> str:
     if not host or not port.isdigit():
         return (
             f'it must be "auto", "local" or HOST:PORT, as in "10.0.0.1:6379", but is {address!r}; '
-            'the port is that of "ray start --head --port"'
+            'use the port of "ray start --head --port"'
         )
     try:
         socket.create_connection((host.strip("[]"), int(port)), SECONDS_TO_CONNECT).close()
     except (OSError, OverflowError) as error:
         return (
-            f"nothing answers at {address!r} ({error}); check host and port, which are those of "
-            '"ray start --head --port", and that this machine may reach them'
+            f"nothing answers at {address!r} ({error}); check host and port against "
+            '"ray start --head --port", and check that this machine may reach them'
         )
     try:
         asked = subprocess.run(
@@ -87,7 +87,7 @@ def _judged(address: str, said: dict[str, dict[str, str] | str]) -> str:
         )
     return (
         f"the program at {address!r} does not answer like the head of a Ray cluster; check the "
-        'port, which is that of "ray start --head --port" (default 6379)'
+        'port, which "ray start --head --port" sets (default 6379)'
     )
 
 

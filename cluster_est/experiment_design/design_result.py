@@ -319,9 +319,9 @@ class DesignResult:
         broken = [each for each in self.candidates if not each.ok]
         if broken:
             found.append(
-                f"{len(broken)} of {len(self.candidates)} inputs were rejected: they would "
-                "violate the limits with one of the models, at its estimates or one standard "
-                "deviation away, or could not be simulated"
+                f"{len(broken)} of {len(self.candidates)} inputs were rejected: they could "
+                "not be simulated, or they violate the limits in at least one model, at its "
+                "estimates or one standard deviation from them"
             )
         found += self._repeated
         found.append(

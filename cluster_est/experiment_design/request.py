@@ -71,15 +71,15 @@ class DesignSettings(Settings):
             )
         if self.predictions and self.criterion and not CRITERIA[self.criterion].predicts:
             raise sentence(
-                f'predictions: must be used with the criterion "v", but it is {self.criterion!r}; '
+                f'predictions: must be used with the criterion "v" but is with {self.criterion!r}; '
                 "change one of the two"
             )
         known_waveforms = [*WAVEFORMS, RECORDED]
         for name in self.waveforms:
             if name not in known_waveforms:
                 raise sentence(
-                    f"waveforms: must be of {', '.join(known_waveforms)} but has {name!r}"
-                    f"{nearest(name, known_waveforms)}"
+                    f"waveforms: each must be one of {', '.join(known_waveforms)} but one is "
+                    f"{name!r}{nearest(name, known_waveforms)}"
                 )
         return self
 
@@ -235,8 +235,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         own = [u.label for u in unknowns if name in (u.label, u.parameter.name)]
         if not own:
             raise ProblemError(
-                "parameters: must be among the estimates of the run but has "
-                f"{name!r}{nearest(name, labels)}"
+                "parameters: must be among the estimates of the run, but "
+                f"{name!r} is not{nearest(name, labels)}"
             )
         found += own
     return tuple(dict.fromkeys(found))

@@ -151,8 +151,8 @@ def _output(experiment: Experiment, name: str, description: ModelDescription) ->
     ]
     if name not in numbers:
         raise ProblemError(
-            "predictions: outputs must be variables that the FMU computes but has "
-            f"{name!r}{nearest(name, numbers)}"
+            "predictions: outputs must be variables that the FMU computes, but "
+            f"{name!r} is not{nearest(name, numbers)}"
         )
     own = [o.times for o in experiment.outputs if o.variable == name and len(o.times)]
     others = [o.times for o in experiment.outputs if len(o.times)]

@@ -227,8 +227,9 @@ def candidates(run: ReportedRun) -> ReportSection:
             TextBlock(
                 "Each step ranks everything that could be missing by its correlation with the "
                 'residual. "Explained" is the share of the sum of squares of the residual that '
-                "the candidate explains to first order; the criterion is that of its refit minus "
-                "that of the model without it, if it was refitted (lower is better)."
+                "the candidate explains to first order; the criterion is the criterion of its "
+                "refit minus the criterion of the model without it (lower is better). Candidates "
+                "that were not refitted have none."
             ),
         )
     for step in sorted({row["step"] for row in rows}):

@@ -100,8 +100,8 @@ class JacobianProvider:
             return False
         self._longer *= LENGTHENING
         self.note = (
-            f"differences took relative steps of {relative:.1g}, because shorter ones were "
-            "unreliable: simulations are noisy, or the cost has a kink"
+            f"the finite differences used relative steps of {relative:.1g}, because shorter steps "
+            "were unreliable: the simulations are noisy, or the cost has a kink"
         )
         return True
 

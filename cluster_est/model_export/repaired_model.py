@@ -279,9 +279,9 @@ class ParameterReader:
             at += len(own)
             if effect.is_noise:
                 notes.append(
-                    f"effect {effect.name!r} is process noise and is left out: the errors of the "
-                    "run are those of predictions, and differ from those of a simulation of the "
-                    "exported model"
+                    f"effect {effect.name!r} is process noise and is left out: the run "
+                    "computed its errors from predictions, so they differ from the errors of a "
+                    "simulation of the exported model"
                 )
                 continue
             units = coefficient_units(definition, self.description)

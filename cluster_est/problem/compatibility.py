@@ -59,8 +59,8 @@ def check_observed_outputs(problem: Problem) -> None:
                 )
             if output.detection_limit is not None and not output.has_sigma:
                 raise ProblemError(
-                    f"{where}: must have a sigma with a detection_limit, because the probability "
-                    "of a value below the limit depends on the noise, but has none; add it"
+                    f"{where}: must have a sigma with a detection_limit but has none; add it, "
+                    "because the probability of a value below the limit depends on the noise"
                 )
             if output.ordinal and experiment.role == "train":
                 _check_categories(output, where)

@@ -323,8 +323,8 @@ class ShapedCurve:
         low, high = (self._starts[name] for name in CURVE_END_COEFFICIENTS)
         if not low < high:
             raise ConfigError(
-                f"effects.{self.name}.parameters.low.start: must be below that of high, {high:g}, "
-                f"but is {low:g}; change one"
+                f"effects.{self.name}.parameters.low.start: must be below the start of high, "
+                f"{high:g}, but is {low:g}; change one"
             )
         names = self.form.curve_values
         return ValueTable(

@@ -97,8 +97,8 @@ class Problem:
             object.__setattr__(self, "model", replace(self.model, parameters=own))
         if targets != [*self.model.parameters, *names]:
             raise ProblemError(
-                "parameters: must be those of the model and then the coefficients of the effects, "
-                f"in the order {[*self.model.parameters, *names]}, but are {targets}"
+                "parameters: must be the parameters of the model, then the coefficients of the "
+                f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}"
             )
         self.derived  # noqa: B018 - what is wrong is said at once
         if not any(e.role == "train" for e in self.experiments):

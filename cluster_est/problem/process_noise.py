@@ -17,9 +17,9 @@ from workers.messages import Experiment
 NEAR_LOWER_BOUND = 1e-6
 """Distance of a strength from its lower bound, over the range of both, that is negligible."""
 FILTERED = (
-    "process noise ({names}): errors, curves and residuals are those of predictions from each "
-    "measured time to the next, by an extended Kalman filter, and not those of a simulation of "
-    "the whole record"
+    "process noise ({names}): errors, curves and residuals come from predictions from each "
+    "measured time to the next, by an extended Kalman filter, and not from a simulation of the "
+    "whole record"
 )
 
 

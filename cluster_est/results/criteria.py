@@ -136,7 +136,9 @@ def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
         ),
         "curves, cost functions and constraints are not measured values": not problem.plain,
         "priors count in addition to the measured values": any(p.prior for p in problem.parameters),
-        "process noise has another likelihood, that of innovations": bool(noise_names(problem)),
+        "process noise has another likelihood, the likelihood of innovations": bool(
+            noise_names(problem)
+        ),
         "an output has a free scale or offset, a detection limit or ordinal values": any(
             not output.is_plain for output in outputs
         ),

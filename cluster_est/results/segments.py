@@ -88,8 +88,8 @@ class ShootingSummary:
         if self.continuity_p > SURPRISING:
             return ()
         return (
-            f"the cost of free segments is {self.free_cost:.4g}, that of one trajectory "
-            f"{self.cost:.4g}: the difference is more than noise explains (p = "
+            f"the cost of free segments is {self.free_cost:.4g}, and the cost of one trajectory "
+            f"is {self.cost:.4g}: the difference is more than noise explains (p = "
             f"{self.continuity_p:.1g}). The search has ended at a wrong point (try other starts "
             "or shorter segments), the model lacks something, or an unmeasured disturbance acts "
             "on it (process noise)",
@@ -118,7 +118,7 @@ class ShootingSummary:
                 f"whose cost was {self.cost:.6g}",
             )
         return (
-            f"estimates, errors and curves are those of {self.segments} segments, each begun at "
+            f"estimates, errors and curves come from {self.segments} segments, each begun at "
             f"estimated states (segments.parquet); the largest jump between two is "
             f"{self.largest_jump:.2g} of a state's spread; test records are simulated in one "
             "piece",
@@ -138,9 +138,9 @@ class ShootingSummary:
             return "a training record cannot be simulated in one piece: the model is unstable"
         if self.promised < 1.0:
             return (
-                f"in one piece, records would give standard errors down to {self.promised:.2g} of "
-                "those of the segments, as for a chaotic model: that is the width of one minimum "
-                "among very many, so it is not used"
+                f"in one piece, records would give standard errors down to {self.promised:.2g} "
+                "times the standard errors from the segments, as for a chaotic model: that is the "
+                "width of one minimum among very many, so it is not used"
             )
         return (
             f"in one piece, from its start, the cost is {self.whole_cost:.3g} instead of "

@@ -129,7 +129,7 @@ class RunContext:
             self._say(
                 f"{self._logged.differing} of the repeated simulations gave residuals that differ "
                 "from their hashes in the log: the FMU or the machine does not repeat them bit "
-                "for bit, and the result may differ from that of an uninterrupted run"
+                "for bit, and the result may differ from the result of an uninterrupted run"
             )
         return self.begin().write(result)
 

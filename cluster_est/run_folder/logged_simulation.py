@@ -126,7 +126,7 @@ def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
     table = _read(run_folder)
     if not 0 <= number < table.num_rows:
         raise RunFolderError(
-            f"{run_folder}: an ID must be from 0 to {table.num_rows - 1}, the rows of its log, but "
+            f"{run_folder}: an ID must be a row of the log, from 0 to {table.num_rows - 1}, but "
             f"is {number}; `cluster-est show {run_folder} --failures` lists those that failed"
         )
     (row,) = table.slice(number, 1).to_pylist()
@@ -193,7 +193,7 @@ def prepare(
     ids = [experiment.id for experiment in whole.experiments]
     if logged.experiment not in ids:
         raise RunFolderError(
-            f"{where}: must be of an experiment of the config to be replayed but is of "
+            f"{where}: its experiment must be in the config but is "
             f"{logged.experiment!r}{nearest(logged.experiment, ids)}"
         )
     index = ids.index(logged.experiment)
@@ -203,7 +203,7 @@ def prepare(
     if len(logged.values) != wanted:
         raise RunFolderError(
             f"{where}: must have {wanted} values, as the config does, but has "
-            f"{len(logged.values)}; {run_folder / 'config.toml'} is not that of this run"
+            f"{len(logged.values)}; {run_folder / 'config.toml'} is not the config of this run"
         )
     same = False
     for problem in _with_rows_of_run(whole, resolved):
@@ -257,8 +257,8 @@ def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Ef
     for name in logged.effects:
         if name not in known:
             raise RunFolderError(
-                f"{where}: must have only effects of the config to be replayed but has {name!r}, "
-                "which a closed loop tried; add it to the config and run fit or check"
+                f"{where}: its effects must be in the config, but {name!r}, which a closed loop "
+                "tried, is not; add it to the config and run fit or check"
             )
     return tuple(known[name] for name in logged.effects)
 

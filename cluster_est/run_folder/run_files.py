@@ -135,8 +135,8 @@ def check_has_estimates(run_folder: Path) -> None:
     for key, kind in WITHOUT_ESTIMATES.items():
         if read_facts(run_folder).get(key):
             raise RunFolderError(
-                f"{run_folder}: must be the folder of a fit or a closed loop but is that of a "
-                f"{kind}, which has no estimates"
+                f"{run_folder}: must be the folder of a fit or a closed loop but is the folder of "
+                f"a {kind}, which has no estimates"
             )
 
 

@@ -18,8 +18,8 @@ class SensitivitySettings(Settings):
 
     method: str = Field(
         "morris",
-        description=f"{one_of(DESIGNS)}; morris: ranks many unknowns with few simulations; sobol: "
-        "the share of each in the variance",
+        description=f"{one_of(DESIGNS)}; morris ranks many unknowns with few simulations; sobol "
+        "gives the share of each unknown in the variance",
     )
     groups: Count = Field(
         0,

@@ -138,7 +138,7 @@ def _made(state: str, description: ModelDescription, taken: set[str]) -> Paramet
     if not variable.settable or variable.start is None:
         raise ProblemError(
             f"method.shooting: needs states whose start values can be set, but {description.file} "
-            f"computes that of {state!r}; export it so that it can be set (in Modelica: "
+            f"computes the start value of {state!r}; export it so that it can be set (in Modelica: "
             "start = ..., fixed = true), or leave method.shooting out"
         )
     name = state

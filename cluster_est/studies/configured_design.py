@@ -75,8 +75,8 @@ def read_design(
     for given in overrides:
         if given.partition(".")[0] not in UNHASHED:
             raise ConfigError(
-                f"{given}: must be a key of {', '.join(UNHASHED)} for a design, whose problem is "
-                "that of the run, but is not; leave it out"
+                f"{given}: must be a key of {', '.join(UNHASHED)} but is not, and a design takes "
+                "all other keys from the run; leave it out"
             )
     config_text = read_config_text(run_folder)
     resolved = read_config(run_folder / "config.toml", overrides)

@@ -166,12 +166,12 @@ class ResidualFunction:
             point = np.array(x, np.float64)
         except (TypeError, ValueError):
             raise ProblemError(
-                f"residuals: x must be a list of numbers but is {shown(x)}; begin with x0"
+                f"residuals: x must be a list of numbers but is {shown(x)}; pass one like x0"
             ) from None
         if point.shape != (self._space.size,):
             raise ProblemError(
                 f"residuals: x must have {self._space.size} numbers ({', '.join(self.names)}) but "
-                f"has shape {point.shape}; begin with x0"
+                f"has shape {point.shape}; pass a vector like x0"
             )
         return point
 

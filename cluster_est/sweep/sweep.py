@@ -251,7 +251,7 @@ def _disagreements(plan: list[PlannedRun]) -> dict[str, list[str]]:
         if planned.cluster != known.cluster:
             problem = (
                 f'executor: workers and address must be the same in all runs with "{executor}", '
-                f"because they share it, but differ from those of {known.run.name}; set them in "
+                f"because they share it, but are different in {known.run.name}; set them in "
                 "[overrides]"
             )
             wrong[problem].append(planned.run.name)

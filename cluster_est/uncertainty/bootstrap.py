@@ -112,7 +112,7 @@ class BootstrapResult:
         if self.failures:
             found.append(
                 f"bootstrap: {self.failures} of {count} draws have no refit, because it failed or "
-                "was stopped, and are not used; the intervals are those of the others"
+                "was stopped, and are not used; the intervals come from the other draws"
             )
         if self.unfinished:
             found.append(

@@ -47,9 +47,9 @@ If the run of the whole loop shows that the part changed nothing, the run withou
 only the simulations of the part are missing. "Where it acts" counts the other cases.
 
 A case is right if every effect has one of its names or the structure is the same model. If nothing
-is missing, it is right if no effect is claimed. If the library cannot express the effect, it is
+is missing, it is right if no effect is added. If the library cannot express the effect, it is
 right if a free curve follows held-out data to within 1.5 times the error of the truth. "Lost" cases
-are right only with the part, "won" cases only without it; p is that of the exact McNemar test.
+are right only with the part, "won" cases only without it; p is from the exact McNemar test.
 "False names" are named effects that are not among the true ones, with the part and without it.
 Held-out errors (median and largest) and simulations (geometric mean) are those without the part
 over those with it.

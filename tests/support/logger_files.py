@@ -426,7 +426,7 @@ WINTER = [
 ]
 LOCAL = [when.astimezone(ZoneInfo("Europe/Berlin")) for when in WINTER]
 NAIVE = table([w.strftime("%Y-%m-%d %H:%M:%S") for w in LOCAL])
-case("clocks that go back", written(NAIVE), refused="change of summer time.*time_zone = ")
+case("clocks that go back", written(NAIVE), refused="summer time begins.*time_zone = ")
 case(
     "clocks that go back, in Berlin",
     written(NAIVE),
@@ -444,9 +444,7 @@ SPRING = [
     .strftime("%Y-%m-%d %H:%M:%S")
     for i in range(ROWS)
 ]
-case(
-    "clocks that go forward", written(table(SPRING)), refused="change of summer time.*time_zone = "
-)
+case("clocks that go forward", written(table(SPRING)), refused="summer time begins.*time_zone = ")
 case(
     "clocks that go forward, in Berlin",
     written(table(SPRING)),

@@ -88,8 +88,8 @@ class Curve:
         _check_points(points, variables)
         if tolerances and len(tolerances) != len(variables):
             raise DataError(
-                f"curve.tolerances: must be as many as the variables, {len(variables)}, but are "
-                f"{len(tolerances)}; write 0 for a variable without one"
+                f"curve.tolerances: must have a number for each variable, {len(variables)}, but "
+                f"has {len(tolerances)}; write 0 for a variable without one"
             )
         for name, tolerance in zip(variables, tolerances, strict=False):
             check_number(tolerance, f"curve.tolerances of {name!r}", DataError, least=0.0)
@@ -190,17 +190,18 @@ def _own_times(values: object, where: str) -> FloatArray:
 def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
     """Refuse points of a curve that are too few, or are not a number for each variable."""
     if not variables:
-        raise DataError("curve.variables: must name at least one variable but are empty; name them")
+        raise DataError("curve.variables: must name at least one variable but names none; add one")
     for i, name in enumerate(variables):
         check_name(name, f"curve.variables[{i}]", DataError)
     if points.shape[1] != len(variables):
         raise DataError(
-            f"curve.points: must have a column for each variable, {len(variables)}, but have "
+            f"curve.points: must have a column for each variable, {len(variables)}, but has "
             f"{points.shape[1]}; change one of the two"
         )
     if len(points) < 2:
         raise DataError(
-            f"curve.points: must be at least two but are {len(points)}; a curve connects points"
+            f"curve.points: must have at least two rows but has {len(points)}; a curve connects "
+            "points"
         )
     for name, column in zip(variables, points.T, strict=True):
         check_finite(column, f"curve.points of {name!r}")

@@ -376,9 +376,9 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     """What else the equation may be, and where to measure to tell."""
     named = f"{also.equation} ({also.words})" if also.words else also.equation
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
-    off = f", but for {also.difference:.2g}{unit} ({also.share:.1%}), "
+    off = f"differs by at most {also.difference:.2g}{unit} ({also.share:.1%}) from"
     return (
-        f"On that range it is{off if also.share > ROUNDING else ' '}also {named}: at "
+        f"On that range it {off if also.share > ROUNDING else 'equals'} {named}. At "
         f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
         f"{also.told_by:.2g}{unit}, so measure there to distinguish them."
     )

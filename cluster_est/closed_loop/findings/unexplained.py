@@ -209,7 +209,7 @@ class VaryingColumn:
     def _advice(self) -> str:
         if not self.silent:
             return "try it as a signal"
-        return f"try it as input {' or '.join(self.silent)}, which has no data, or as a signal"
+        return f"try it as data of the input {' or '.join(self.silent)}, or as a signal"
 
 
 def varying_columns(

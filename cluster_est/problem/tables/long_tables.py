@@ -39,8 +39,8 @@ def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
     for signal in signals:
         if signal in others:
             raise DataError(
-                f"must not have signals in {names!r} with the name of a column but has "
-                f"{signal!r}; rename one"
+                f"must not have the signal {signal!r} in {names!r}, because a column has the same "
+                "name; rename one"
             )
     columns = others | dict.fromkeys(signals, table.columns[values])
     note = f"it has a row for each value, of the {len(signals)} signals in {names!r}"

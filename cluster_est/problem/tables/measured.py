@@ -257,7 +257,7 @@ class MeasuredColumns:
         lengths = {len(values) for values in found}
         if len(lengths) > 1:
             raise DataError(
-                f"{self.where}.curve: the columns must have as many rows as each other but have "
+                f"{self.where}.curve: all columns must have the same number of rows but have "
                 f"{' and '.join(str(n) for n in sorted(lengths))}; choose others"
             )
         points = np.column_stack(found)

@@ -270,7 +270,7 @@ def _pattern_of(given: str) -> str:
         pattern = _PARTS.get(part)
         if part.startswith("%") and pattern is None and len(part) == 2:
             raise StampError(
-                f"time_format: must have no parts but {', '.join(_PARTS)} but has {part!r}"
+                f"time_format: must have only the parts {', '.join(_PARTS)} but has {part!r}"
             )
         if part == "%S" and "%f" in parts:
             pattern = r"(?P<S>\d{1,2})"
@@ -452,8 +452,8 @@ def _refuse_changed_clocks(stamps: Stamps) -> None:
             np.datetime64(int(each), "ns").astype("datetime64[s]") for each in ns[i : i + 2]
         )
         raise StampError(
-            f"goes from {before} to {after}, like clocks at the change of summer time; say where "
-            'they were recorded with time_zone = "Europe/Berlin", or time_zone = "UTC" if they '
-            "were not changed",
+            f"goes from {before} to {after}, like clocks when summer time begins or ends; say "
+            'where they were recorded with time_zone = "Europe/Berlin", or time_zone = "UTC" if '
+            "they were not changed",
             row,
         )

@@ -266,7 +266,10 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
         )
     if layout.active:
         names = ", ".join(repr(name) for name in layout.active)
-        notes.append(f"the intervals are those along the active constraints ({names})")
+        notes.append(
+            "the intervals allow only changes of the parameters along which these constraints stay "
+            f"active: {names}"
+        )
     if layout.ignored:
         names = ", ".join(repr(name) for name in layout.ignored)
         notes.append(
@@ -294,10 +297,10 @@ def _noise_notes(
     if basis is NoiseBasis.AUTOREGRESSION:
         return (
             "the residuals are autocorrelated, and the intervals include autocorrelated noise: "
-            f"standard errors are {times} times those for white noise",
+            f"standard errors are {times} times as large as with white noise",
         )
     return (
         f"the {len(system.factors.parts)} experiments differ by more than their noise explains, "
-        f"and the intervals follow from that scatter: standard errors are {times} times those for "
-        "white noise",
+        "and the intervals are computed from these differences: standard errors are "
+        f"{times} times as large as with white noise",
     )

@@ -162,7 +162,10 @@ def test_more_points_make_a_map_no_rougher(read, count, rel):
     ("change", "pattern"),
     [
         ({"points": [0.0, 0.0, 1.0]}, "maps.map.points: must increase"),
-        ({"variables": ["a", "b"]}, "maps.map.variables: .*as many as the points, 3"),
+        (
+            {"variables": ["a", "b"]},
+            "maps.map.variables: must have a name for each of the 3 points but has 2",
+        ),
         ({"start": [1.0]}, "maps.map.start: .*one for each of the 3 points"),
         ({"slope_change": 1.0}, "maps.map.bounds: .*finite with slope_change"),
         ({"bounds": [2.0, 1.0]}, r"maps.map.bounds: .*\[lower, upper\]"),

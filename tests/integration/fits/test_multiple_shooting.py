@@ -193,7 +193,7 @@ def test_an_unstable_model_is_fitted_in_segments_and_says_so(standing):
     assert not standing.shooting.joined
     assert [e.normalised_after for e in standing.errors] == pytest.approx([1.0, 1.0], abs=0.1)
     said = " ".join(standing.notes)
-    assert "are those of 32 segments" in said
+    assert "come from 32 segments" in said
     assert "in one piece, from its start, the cost is" in said
 
 

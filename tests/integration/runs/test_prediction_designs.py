@@ -225,7 +225,7 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
     ("block", "table", "sentence"),
     [
         ('experiment = "exp7"', "", "experiment must be one of the run but is 'exp7'"),
-        ('outputs = ["F"]', "", "outputs must be variables that the FMU computes but has 'F'"),
+        ('outputs = ["F"]', "", "outputs must be variables that the FMU computes, but 'F' is not"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
         ('time = "t"', "", r"predictions\[0\]\.time: must be given with data"),

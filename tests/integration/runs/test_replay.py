@@ -99,7 +99,7 @@ def test_what_succeeded_gives_the_same_bits_again(fitted, replay):
         assert f"search {rows[number]['search']}, point " in out
         assert f"m          {rows[number]['values'][0]!r}\n" in out
         assert out.endswith("its residuals agree with the logged ones bit for bit\n")
-        assert "no longer those of the run" not in out
+        assert "no longer the same as in the run" not in out
 
 
 def test_what_the_fmu_says_is_shown(tmp_path, capfd, replay, built_fmu):
@@ -192,7 +192,7 @@ def test_what_was_reduced_is_reduced_again(tmp_path, capfd, cost, want, summed):
 @pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
-        ("experiment", "b", "must be of an experiment of the config to be replayed but is of 'b'"),
+        ("experiment", "b", "its experiment must be in the config but is 'b'"),
         ("effects", ["drag"], "has 'drag', which a closed loop tried; add it to the config"),
         ("values", [1.0], "must have 2 values, as the config does, but has 1"),
     ],
@@ -207,7 +207,7 @@ def test_what_the_config_does_not_name(run, replay, name, value, sentence):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["replay", "{run}", "100000"], "an ID must be from 0 to "),
+        (["replay", "{run}", "100000"], "an ID must be a row of the log, from 0 to "),
         (["replay", "{folder}", "0"], "must be the folder of a run but has no run.json"),
         (["show", "{folder}", "--failures"], "must be the folder of a run but has no run.json"),
     ],

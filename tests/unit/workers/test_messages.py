@@ -188,18 +188,21 @@ EFFECT = {"name": "f", "site": "der(v)"}
         *(
             (Curve, CURVE, *each)
             for each in [
-                ({"variables": ()}, "variables: must name at least one.*empty"),
+                ({"variables": ()}, "variables: must name at least one.*none"),
                 ({"variables": "x"}, "variables: must be a list of text.*one alone"),
                 ({"variables": ("x", "")}, r"variables\[1\]: must not be empty"),
                 ({"variables": ("x",)}, "points: must have a column for each variable, 1,.*2"),
-                ({"points": [[0, 1]]}, "points: must be at least two but are 1"),
+                ({"points": [[0, 1]]}, "points: must have at least two rows but has 1"),
                 ({"points": [0, 1]}, r"points: must be a table of numbers.*\(2,\)"),
                 ({"points": "a"}, "points: must be a table of numbers.*'a'"),
                 ({"points": [[0, 1], [0, np.nan]]}, "points of 'v', index 1: must be a finite"),
                 ({"times": [1, 0]}, "times, index 1.*must increase.*0 goes back from 1"),
                 ({"times": [0, np.inf]}, "times, index 1.*must be a finite number.*inf"),
                 ({"times": []}, "times: must have at least one time but has none"),
-                ({"tolerances": (1.0,)}, "tolerances: must be as many as the variables, 2,.*1"),
+                (
+                    {"tolerances": (1.0,)},
+                    "tolerances: must have a number for each variable, 2,.*1",
+                ),
                 ({"tolerances": (1, -1)}, "tolerances of 'v': must be at least 0.*-1"),
                 ({"tolerances": (np.nan, 1)}, "tolerances of 'x': must be a finite.*nan"),
                 ({"tolerances": 0.1}, "tolerances: must be a list of numbers.*a number alone"),

@@ -95,7 +95,8 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
     outputs = [run.outputs[0] for run in found.before.problem.experiments]
     assert found.errors_over == "estimated noise"
     assert note.startswith("the noise of y grows with the signal: in the third of its samples")
-    assert "so each sample was weighted with its own; write sigma.y = 0.0" in note
+    assert "so each sample was weighted with a sigma of its own; for a fit with" in note
+    assert "write sigma.y = 0.0" in note
     for output in outputs:
         assert output.sigma == pytest.approx(0.01, rel=0.6)
         assert output.relative_sigma == pytest.approx(0.2, rel=0.2)

@@ -49,7 +49,11 @@ def test_a_file_says_what_the_experiment_may_be(tmp_path):
         ("upper = 8.0", "upper = 8.0\nrate = 0.0", "inputs.F.rate: must be greater than 0"),
         ("upper = 8.0", "upper = 8.0\nhold = 11.0", "inputs.F.hold: must be at most the duration"),
         ("duration", 'criterion = "e"\nduration', "criterion: must be one of 'discriminate', 'd'"),
-        ("duration", 'waveforms = ["saw"]\nduration', "waveforms: must be of steps, ramps,"),
+        (
+            "duration",
+            'waveforms = ["saw"]\nduration',
+            "waveforms: each must be one of steps, ramps,",
+        ),
         ("duration", "candidates = 3\nduration", "candidates: must be at least 10 but is 3"),
         ("[inputs.F]\nlower = -8.0\nupper = 8.0\n", "", "inputs: must name at least one input"),
         ("upper = 8.0", "upper = 8.0\n[signals.x]", "signals.x: must have lower or upper"),

@@ -302,7 +302,7 @@ def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
     assert other.told_at < 0.0
     assert other.told_by == pytest.approx(-2.0 * K * other.told_at**2)
     assert effect.sentence.endswith(
-        f"On that range it is also {other.equation} (quadratic drag): at v = {other.told_at:.3g} "
+        f"On that range it equals {other.equation} (quadratic drag). At v = {other.told_at:.3g} "
         f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to "
         "distinguish them."
     )
@@ -314,8 +314,8 @@ def test_what_agrees_nearly_is_said_with_what_it_is_off():
     )
     other = found.also[-1]
     assert other.share > 1e-3
-    assert f"On that range it is, but for {other.difference:.2g} m/s2 (" in found.sentence
-    assert f"also {other.equation}" in found.sentence
+    assert f"On that range it differs by at most {other.difference:.2g} m/s2 (" in found.sentence
+    assert f"from {other.equation}" in found.sentence
 
 
 def test_a_speed_that_takes_both_signs_tells_them_apart():

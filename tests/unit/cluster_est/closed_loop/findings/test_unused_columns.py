@@ -85,7 +85,7 @@ def test_a_wave_of_the_same_period_is_named_as_that_and_no_more(tmp_path):
     assert found.column == "daily"
     assert np.isnan(found.p)
     said = "column 'daily' is not used and has the same period, 0.2 s: try it as "
-    assert found.sentence == f"{said}input F, which has no data, or as a signal"
+    assert found.sentence == f"{said}data of the input F, or as a signal"
     assert replace(found, silent=()).sentence == f"{said}a signal"
     assert varying_columns(made, residuals, LEVEL, period=0.13) == ()
 

@@ -39,7 +39,7 @@ def test_longer_differences_lead_through_noise(size):
     solution = solved(lambda x: line(x) + size * ripple(x))
     assert solution.ending is Ending.CONVERGED
     assert solution.x[0] == pytest.approx(TRUTH, abs=0.1 * size)
-    assert "shorter ones were unreliable" in solution.message
+    assert "shorter steps were unreliable" in solution.message
 
 
 @pytest.mark.parametrize("differences", ["forward", "auto"])
