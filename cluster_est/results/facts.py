@@ -176,7 +176,7 @@ def fit_doubts(result: Result) -> tuple[str, ...]:
         )
     held_out, training = result.rmse("test"), result.rmse("train")
     if held_out > HELD_OUT * training > 0.0:
-        doubts.append(f"its held-out error is {held_out / training:.2g} times that of training")
+        doubts.append(f"its held-out error is {held_out / training:.2g} times the training error")
     if worse_than_constants(result.errors):
         doubts.append("a constant would fit an output better")
     if result.record_faults:
@@ -200,6 +200,6 @@ def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
         named += f" and {len(labels) - MOST_NAMED_VALUES} more"
     which = "this value" if len(labels) == 1 else "these values"
     return (
-        f"{named}: fitted to the held-out data, because no training experiment has {which}; errors "
-        "there are those of a prediction from the right start",
+        f"{named}: fitted to the held-out data, because no training experiment has {which}; the "
+        "errors there are the errors of a prediction from the right start",
     )

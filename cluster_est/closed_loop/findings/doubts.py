@@ -97,5 +97,5 @@ def _not_converged(model: str, fit: Result) -> str:
     why = str(fit.solution.ending).partition(";")[0]
     return (
         f"the last fit of {model} did not converge ({why}): its values, intervals and errors are "
-        "those of its last point"
+        "from the last point that it reached"
     )
