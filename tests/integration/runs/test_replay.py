@@ -193,7 +193,7 @@ def test_what_was_reduced_is_reduced_again(tmp_path, capfd, cost, want, summed):
     ("name", "value", "sentence"),
     [
         ("experiment", "b", "its experiment must be in the config but is 'b'"),
-        ("effects", ["drag"], "has 'drag', which a closed loop tried; add it to the config"),
+        ("effects", ["drag"], "'drag', which a closed loop tried, is not; add it"),
         ("values", [1.0], "must have 2 values, as the config does, but has 1"),
     ],
 )
