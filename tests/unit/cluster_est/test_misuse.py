@@ -98,7 +98,7 @@ REFUSED = [
     (
         ce.Problem,
         {"model": replace(MODEL, parameters=("k",))},
-        "parameters: must be those of the mod",
+        "parameters: must be the parameters of the model",
     ),
     (ce.Problem, {"cost": 3}, 'problem.cost: must be a Cost.*3; give one.*"huber"'),
     (ce.Problem, {"cost": COSTS["huber"]}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
