@@ -121,7 +121,8 @@ def python_page() -> str:
         found = getattr(ce, name)
         parts.append(f"::: {found.__module__}.{found.__qualname__}")
         if isinstance(found, type) and issubclass(found, Settings):
-            parts.append(_keys(found)[0])
+            table, inside = _keys(found)
+            parts += [table, *(part for each in inside for part in _section(*each, "####"))]
     return "\n\n".join(parts) + "\n"
 
 
