@@ -115,7 +115,7 @@ SIGNALS = [
     (step(rise_tme=1), "unknown key .*step_response.rise_tme.*'rise_time'"),
     (step(time=9.0), r"\[0\].step_response: .*limit the signal.*move its times"),
     (step(rise_time=0.2, settling_time=0.1), "step_response.settling_time: .*before rise_time"),
-    (step(initial=1.0), "step_response.initial: .*not be the final value"),
+    (step(initial=1.0), "step_response.initial: must differ from final"),
     (constraint(signal="v", tracking={}), r"\[0\].signal: .*in at least one experiment.*'y'"),
     (on_y(tracking={"relative": -1}), "tracking.relative: .*at least 0.*-1"),
 ]

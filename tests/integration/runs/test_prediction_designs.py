@@ -257,7 +257,7 @@ def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
 def test_another_criterion_has_nothing_to_predict(design, capsys):
     assert design("--predict", "exp4", text='criterion = "d"\n' + LIMITS) == 2
     assert '--predict: predictions: must be used with the criterion "v"' in capsys.readouterr().err
-    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*it is 'a'"):
+    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*is with 'a'"):
         read_text('criterion = "a"\n' + LIMITS + PREDICT)
     with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
         PredictionTarget(3)

@@ -132,7 +132,7 @@ class TestBasis:
             assert each.std_error == each.error_autoregression > 2.0 * each.error_white
         ratios = [each.std_error / each.error_white for each in found.intervals]
         (note,) = found.notes
-        said = f"autocorrelated.* are {min(ratios):.2g} to {max(ratios):.2g} times those"
+        said = f"autocorrelated.* are {min(ratios):.2g} to {max(ratios):.2g} times as large"
         assert re.search(said, note)
 
     def test_experiments_that_differ_are_allowed_for_and_said(self, different):
@@ -143,7 +143,7 @@ class TestBasis:
         assert all(each.std_error > each.error_white for each in offsets)
         assert found.basis_degrees == 11
         ratio = slope.std_error / slope.error_white
-        said = f"12 experiments differ by more than their noise.* are {ratio:.2g} times those"
+        said = f"12 experiments differ by more than their noise.* are {ratio:.2g} times as large"
         assert re.search(said, found.notes[-1])
 
     def test_few_experiments_are_reported_only(self):
