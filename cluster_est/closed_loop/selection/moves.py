@@ -169,6 +169,12 @@ def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     return best_first(fitter.records, fits, LoopPart.EXCLUDE)
 
 
+def _own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
+    """What a move has come to itself, where it is tried because nothing else has won."""
+    del begun
+    return best if own.won is None else own
+
+
 MOVES = (
     Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
     Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
@@ -176,13 +182,13 @@ MOVES = (
         LoopPart.EXCLUDE,
         exclude,
         lambda begun, best: best.won is None and bool(begun.model.added),
-        lambda _, best, own: own if own.won is not None else best,
+        _own_if_it_won,
     ),
     Move(
         LoopPart.FREE_CURVE,
         free_curve,
         lambda begun, best: best.won is None and _has_room_for_two(begun, best),
-        lambda _, best, own: own if own.won is not None else best,
+        _own_if_it_won,
     ),
 )
 """In the order in which they are tried."""
