@@ -1,12 +1,15 @@
 """Exported FMUs as another tool sees them: through fmpy, call by call."""
 
+import shutil
 import zipfile
 from collections.abc import Callable, Sequence
 from ctypes import CFUNCTYPE, c_char_p, c_int, c_void_p, cast
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
+import pytest
 from fmpy import calloc, free, read_model_description
 from fmpy.fmi2 import (
     FMU2Slave,
@@ -22,6 +25,12 @@ from cluster_est.model_export.write import ExportRequest, write_forms
 from workers.effects.definition import define_all
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Experiment, FloatArray, Model
+
+NEEDS_CC = pytest.mark.skipif(
+    shutil.which("cc") is None or fmpy.platform != "linux64",
+    reason="building with the system's compiler needs cc on a 64-bit Linux",
+)
+"""For tests whose FMUs are built by the system's compiler."""
 
 
 def repair_of(

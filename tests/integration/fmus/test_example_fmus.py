@@ -1,6 +1,5 @@
 """What the scaffold does that all of them share is shown with two of them by default."""
 
-import shutil
 from typing import Any
 
 import fmpy
@@ -10,6 +9,7 @@ from build_fmus import build
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.validation import validate_fmu
+from support.exported import NEEDS_CC
 from support.fmu_texts import texts_from, texts_in
 from support.simulated import answer
 from support.thinning import thinned
@@ -25,11 +25,6 @@ INTERFACES: dict[Interface, Solver] = {
     "model_exchange": Solver("dormand_prince", rtol=1e-10),
     "co_simulation": Solver("fmu"),
 }
-
-needs_compiler = pytest.mark.skipif(
-    shutil.which("cc") is None or fmpy.platform != "linux64",
-    reason="building with the system's compiler needs cc on a 64-bit Linux",
-)
 
 
 @pytest.fixture(
@@ -89,7 +84,7 @@ def simulated(archive, interface, interpolation):
     return np.split(-outcome.residuals, ends[:-1])
 
 
-@needs_compiler
+@NEEDS_CC
 def test_rebuilds_to_the_same_bytes_and_simulates_the_same(archive, tmp_path):
     first, second = (build(archive.with_suffix(""), tmp_path / folder) for folder in "ab")
     assert first.read_bytes() == second.read_bytes()

@@ -1,12 +1,10 @@
 """Cases of hidden dynamics: their models, their truth without the effect, and how they divide."""
 
-import shutil
 import zlib
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
 from closed_loop_benchmark.hidden_dynamics import (
@@ -24,13 +22,9 @@ from closed_loop_benchmark.system import Run, System
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import simulate
 from fmpy import extract
-from support.exported import output_of
+from support.exported import NEEDS_CC, output_of
 
 SAMPLES = 40
-NEEDS_CC = pytest.mark.skipif(
-    shutil.which("cc") is None or fmpy.platform != "linux64",
-    reason="the models are built by the compiler of a 64-bit Linux",
-)
 
 
 def short(name: str) -> tuple[System, list[Run]]:
