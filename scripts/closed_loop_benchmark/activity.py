@@ -23,6 +23,7 @@ from cluster_est.closed_loop.selection import acceptance, free_curves, gates, mo
 from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.answer import without_effects
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
+from cluster_est.closed_loop.selection.rounds import RoundEnd
 from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
@@ -32,7 +33,9 @@ CACHING = {LoopPart.REPLACE, LoopPart.MERGE_TWO}
 
 WATCHED = {
     LoopPart.BEAM,
+    LoopPart.EXCLUDE,
     LoopPart.FREE_CURVE,
+    LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
     LoopPart.SWITCH_WIDTHS,
     LoopPart.RESTARTS,
@@ -119,6 +122,14 @@ class PartNotes:
             self.active |= self._cached
         return answer is not None
 
+    def chosen(self, *given: Any) -> RoundEnd:
+        """Choose; where the best was not refused alone, those asked after it make a difference."""
+        end = gates.choose(*given)
+        refused = [part for part in end.stopped.values() if part in gates.OF_ONE_STRUCTURE]
+        if len(refused) > (end.won is None):
+            self.active.add(LoopPart.NEXT_BEST)
+        return end
+
     def _simulations(self, fitter: Fitter | None) -> float:
         if fitter is None:
             return 0.0
@@ -170,6 +181,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
         free_curves: {"refit_siblings": siblings},
         search: {
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
+            "choose": notes.chosen,
             "revise": notes.revise,
             "_was_local": watched(part.LOCAL_MINIMUM, search._was_local, _said),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
@@ -181,8 +193,8 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
 
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
-    """Watch the curves, which change nothing where none passes; other moves are in any case."""
-    if move.part is not LoopPart.FREE_CURVE:
+    """Watch those of last resort, which change nothing where none passes; others do in any case."""
+    if move.part not in (LoopPart.EXCLUDE, LoopPart.FREE_CURVE):
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
     preferred = notes.watched(
