@@ -8,7 +8,7 @@
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --calibrate claims*.jsonl
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
-    python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation beam,replace+drop
+    python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation drop,waves+bounded
     python scripts/bench_closed_loop.py --out parts.jsonl --parts-page parts_of_the_search.md
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
@@ -145,7 +145,7 @@ def variants_of(options: argparse.Namespace) -> list[Variant]:
     """Return the loop as it is, and without each of the parts that are to be left out."""
     rows = options.rows if options.rows in ("auto", "no") else int(options.rows)
     whole = Way(
-        LoopSettings(beam=options.beam, without=options.without),
+        LoopSettings(without=options.without),
         Sampling(options.rate, options.jitter),
         ThinningSettings(rows=rows),
         remembers=bool(options.ablation or options.subsets or options.lacking),
@@ -214,7 +214,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--first", type=int, help="so many of the cases that are left then")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
-    parser.add_argument("--beam", type=int, default=LoopSettings().beam, help="closed_loop.beam")
     parts = tuple(part.value for part in LoopPart)
     parser.add_argument(
         "--without", type=names_of(parts), default=(), help="parts of the search to leave out"

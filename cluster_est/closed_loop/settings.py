@@ -30,9 +30,6 @@ class LoopStage(enum.Enum):
     TRIALS = "trial"
     REFITS = "candidate"
     ENLARGED_INPUTS = "enlarged"
-    DECLARED_AGAIN = "return"
-    OTHER_STARTS = "other starts"
-    SWAP = "swap"
     DROP = "drop"
     FINAL = "final"
     PROCESS_NOISE = "process noise"
@@ -63,22 +60,14 @@ class LoopPart(enum.StrEnum):
     """
 
     ADD = "add"
-    BEAM = "beam"
     ADD_TWO = "add two"
     EXCLUDE = "exclude"
     FREE_CURVE = "free curve"
     SIBLINGS = "siblings"
-    SWITCH_WIDTHS = "switch widths"
-    RESTARTS = "restarts"
-    REPLACE = "replace"
-    MERGE_TWO = "merge two"
     DROP = "drop"
-    MERGE = "merge"
-    LOCAL_MINIMUM = "local minimum"
     FUNCTIONS_OF_TIME = "functions of time"
     PLACES_FIRST = "places first"
     PRUNING = "pruning"
-    REMEMBERED_FITS = "remembered fits"
     SIGNIFICANCE = "significance"
     COLOURED_NOISE = "coloured noise"
     CURVE_ENDS = "curve ends"
@@ -147,12 +136,6 @@ class LoopSettings(Settings):
         ge=1.0,
         description="largest error over the noise, in training and held out, for the verdict "
         '"found"',
-    )
-    beam: Positive = Field(
-        4,
-        description="number of structures that each round extends as long as more than noise is "
-        "left; above 1, a structure is also refitted from other starts, and two effects "
-        "may be replaced by one",
     )
     pairs: bool = Field(True, description="try two effects at once if no single one is enough")
     without: Annotated[Names, AfterValidator(_parts)] = Field(

@@ -1,8 +1,9 @@
 """Free curves: functions of no form of the library, as pairs of places and values.
 
-A curve fits what several named effects would only patch, and explains nothing. So it is tried where
-no named effect is accepted, and at the end of a search in the place of all that was. A search ends
-with it: what it leaves is partly its own error, which named effects would only patch.
+A curve fits what several named effects would only patch, and explains nothing. So it is tried
+where no named effect is accepted, and at the end of a search in the place of all that were, if they
+may not be claimed. A search ends with one that does most of it: what it leaves is partly its own
+error, which named effects would only patch.
 
 A curve also leads to a name: the score of a small effect may be low where a large one acts, but
 along the trajectory that a curve has come to, functions of its argument are easily told apart. And
@@ -14,8 +15,7 @@ fine finds its way to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import final
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from cluster_est.closed_loop.screening.screen import (
     rank_curves,
 )
 from cluster_est.closed_loop.selection.acceptance import can_be_linearised
-from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
+from cluster_est.closed_loop.selection.gates import SELECTION, choose
 from cluster_est.closed_loop.selection.linear_model import (
     NO_BOUND,
     REFINEMENT,
@@ -50,7 +50,6 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     can_be_claimed,
     claimable_sse,
-    leaves_more_than_noise,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.records import StackedRecords
@@ -210,108 +209,44 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
     return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
 
 
-@final
-@dataclass
-class Merging:
-    """The move that puts a single effect in the place of all that were added, once a search.
+def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> RoundEnd | None:
+    """Return a round that a single effect has won in the place of all; None if they stay.
 
-    Attributes
+    Only where they may not be claimed. It is a free curve, or a form of the library to which one
+    leads. It must fit better, also if what is left is noise as coloured as it looks, and predict
+    better; a curve must fit better by the price of a choice among all pairs.
+
+    Parameters
     ----------
     first
         The start of the first round.
-    curves, named
-        What may take their place, refitted to the declared model: free curves, once they have been
-        looked for, and forms of the library of the argument of the best of them.
-    fine, switched
-        Finer curves have been refitted too, where those led on, and those of a switch.
-    done
-        An effect has taken their place.
+    now
+        What the search has come to, which no larger structure improves.
     """
-
-    first: RoundStart | None = None
-    curves: list[RefittedCandidate] | None = None
-    named: list[RefittedCandidate] = field(default_factory=list)
-    fine: bool = False
-    switched: bool = False
-    done: bool = False
-
-    def note(self, begun: RoundStart, end: RoundEnd) -> None:
-        """Note the first round, and curves that have been tried there and did not pass."""
-        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
-        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
-            self.curves, self.fine, self.switched = [], True, True
-
-    def instead(
-        self, fitter: Fitter, now: AcceptedStructure, *, whole: bool = False
-    ) -> RoundEnd | None:
-        """Return a round that a single effect has won in the place of all; None if they stay.
-
-        It must fit better, also if what is left is noise as coloured as it looks, and predict
-        better. A curve must fit better by the price of a choice among all pairs, and waits for two
-        effects: as a function of one argument, it imitates every sum of two that have this one.
-
-        Parameters
-        ----------
-        whole
-            Take only what leaves no more than noise.
-        """
-        first, current = self.first, now.model
-        if self.done or first is None or not _may_be_single(first, current):
-            return None
-        curves = self._refitted_curves(fitter, first, current, whole=whole)
-        price = SELECTION.pair_price * float(np.log(first.screening.count))
-
-        def fits_better(contender: RefittedCandidate, least: float) -> bool:
-            if contender.candidate.form.free and whole and len(current.added) < 2:
-                return False
-            if whole and leaves_more_than_noise(contender.fitted, first.floor):
-                return False
-            return min(criterion_falls(fitter.records, current, contender.fitted)) > least
-
-        for contenders, least in ((self.named, 0.0), (curves, price)):
-            if not any(fits_better(contender, least) for contender in contenders):
-                continue  # the gates cost simulations
-            end = choose(fitter, first, contenders)
-            if end.won is None or end.prediction is None or not fits_better(end.won, least):
-                continue
-            if end.prediction.total < now.prediction.total:
-                self.done = True
-                return end
-        return None
-
-    def _refitted_curves(
-        self, fitter: Fitter, first: RoundStart, current: FittedModel, *, whole: bool
-    ) -> list[RefittedCandidate]:
-        """Refit the single effects that could fit better than a structure does.
-
-        Curves are made finer only where they may be taken, and where there is something to be
-        gained: one or two effects leave more than noise, or three look like patches. The curve of a
-        switch is among them where nothing found may be claimed.
-        """
-        if self.curves is None:
-            self.curves = coarse_curves(fitter, first)
-            self.named = refit_named(fitter, first, self.curves)
-        early = whole and len(current.added) < 2
-        gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
-        coarse: list[RefittedCandidate] = []
-        if not self.fine and gains and not early:
-            coarse, self.fine = list(self.curves), True
-        if not self.switched and gains and not whole and not can_be_claimed(first, current):
-            switched, self.switched = switched_curves(fitter, first), True
-            self.curves += switched
-            coarse += switched
-        if coarse:
-            bound = first.bound(criterion=current.criterion(fitter.records))
-            self.curves += finer_curves(fitter, first, coarse, bound)
-            self.curves.sort(key=lambda c: c.criterion)
-        return self.curves
-
-
-def _may_be_single(first: RoundStart, current: FittedModel) -> bool:
-    """Return whether the effects are several or leave more than noise, and something is missing."""
-    patched = len(current.added) > 1 or leaves_more_than_noise(current, first.floor)
+    current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
-    return first.has(LoopPart.MERGE) and patched and not free and reason_to_stop(first) is None
+    if free or can_be_claimed(first, current) or not first.has(LoopPart.FREE_CURVE):
+        return None
+    coarse = coarse_curves(fitter, first)
+    named = refit_named(fitter, first, coarse)
+    coarse += switched_curves(fitter, first)
+    bound = first.bound(criterion=current.criterion(records))
+    finer = finer_curves(fitter, first, coarse, bound)
+    curves = sorted([*coarse, *finer], key=lambda c: c.criterion)
+    price = SELECTION.pair_price * float(np.log(first.screening.count))
+
+    def fits_better(contender: RefittedCandidate, least: float) -> bool:
+        return min(criterion_falls(records, current, contender.fitted)) > least
+
+    for contenders, least in ((named, 0.0), (curves, price)):
+        if not any(fits_better(contender, least) for contender in contenders):
+            continue  # the gates cost simulations
+        end = choose(fitter, first, contenders)
+        if end.won is None or end.prediction is None or not fits_better(end.won, least):
+            continue
+        if end.prediction.total < now.prediction.total:
+            return end
+    return None
 
 
 def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:
