@@ -140,7 +140,7 @@ class LoopSettings(Settings):
     pairs: bool = Field(True, description="try two effects at once if no single one is enough")
     without: Annotated[Names, AfterValidator(_parts)] = Field(
         (),
-        description="parts of the search to leave out, such as restarts, to measure their benefit",
+        description="parts of the search to leave out, such as drop, to measure their benefit",
     )
 
     @property
