@@ -31,7 +31,7 @@ from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
-from cluster_est.closed_loop.selection.free_curves import curve_instead
+from cluster_est.closed_loop.selection.argument_functions import curve_instead
 from cluster_est.closed_loop.selection.gates import choose, reason_to_stop
 from cluster_est.closed_loop.selection.moves import MOVES, drop
 from cluster_est.closed_loop.selection.refits import rivals_of

@@ -19,10 +19,10 @@ from unittest.mock import patch
 
 from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
-from cluster_est.closed_loop.selection import free_curves, gates, moves
+from cluster_est.closed_loop.selection import argument_functions, gates, moves
 from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.answer import without_effects
-from cluster_est.closed_loop.selection.neighbours import refit_siblings
+from cluster_est.closed_loop.selection.argument_functions import refit_siblings
 from cluster_est.closed_loop.selection.rounds import RoundEnd
 from cluster_est.closed_loop.settings import LoopPart
 
@@ -139,13 +139,13 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
         moves: {
             "refit_siblings": siblings,
         },
-        free_curves: {"refit_siblings": siblings},
+        argument_functions: {"refit_siblings": siblings},
         search: {
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
             "choose": notes.chosen,
             "drop": watched(part.DROP, moves.drop, lambda left, _, begun, given: left is not given),
             "curve_instead": watched(
-                part.FREE_CURVE, free_curves.curve_instead, lambda end, *_: end is not None
+                part.FREE_CURVE, argument_functions.curve_instead, lambda end, *_: end is not None
             ),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
         },

@@ -14,10 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.selection.free_curves import criterion_falls, free_curve
+from cluster_est.closed_loop.selection.argument_functions import (
+    criterion_falls,
+    free_curve,
+    refit_siblings,
+)
 from cluster_est.closed_loop.selection.gates import GATES, SELECTION
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
-from cluster_est.closed_loop.selection.neighbours import refit_siblings
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,

@@ -15,7 +15,7 @@ from support.loop_objects import (
 )
 
 from cluster_est import LoopSettings
-from cluster_est.closed_loop.selection import free_curves, gates
+from cluster_est.closed_loop.selection import argument_functions, gates
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import reason_to_stop
 from cluster_est.closed_loop.selection.moves import exclude
@@ -115,17 +115,19 @@ def test_a_curve_takes_the_place_of_all_only_where_they_may_not_be_claimed(
         for name in ("curve", "finer", "switched")
     }
     refined = []
-    monkeypatch.setattr(free_curves, "coarse_curves", lambda *_: [made["curve"]])
-    monkeypatch.setattr(free_curves, "switched_curves", lambda *_: [made["switched"]])
-    monkeypatch.setattr(free_curves, "refit_named", lambda *_: [])
+    monkeypatch.setattr(argument_functions, "coarse_curves", lambda *_: [made["curve"]])
+    monkeypatch.setattr(argument_functions, "switched_curves", lambda *_: [made["switched"]])
+    monkeypatch.setattr(argument_functions, "refit_named", lambda *_: [])
     monkeypatch.setattr(
-        free_curves, "finer_curves", lambda *given: refined.extend(given[2]) or [made["finer"]]
+        argument_functions,
+        "finer_curves",
+        lambda *given: refined.extend(given[2]) or [made["finer"]],
     )
     begun = begun_at(fit_with_squares(PROBLEM, NOTHING))
     begun = replace(begun, settings=LoopSettings(without=without))
     found = fit_with_squares(PROBLEM, squares, (WRONG, RIGHT))
     now = AcceptedStructure(found, begun.prediction)
-    assert free_curves.curve_instead(KnownFits({}), begun, now) is None  # it fits worse
+    assert argument_functions.curve_instead(KnownFits({}), begun, now) is None  # it fits worse
     names = [curve.candidate.effect.name for curve in refined]
     assert names == (["curve", "switched"] if tried else [])
 
