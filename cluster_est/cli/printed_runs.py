@@ -295,6 +295,8 @@ def _print_rest(answer: Answer, facts: Facts) -> None:
         said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
         known = effect.get("claim") or {"sentence": "it shows where to look, not what is missing"}
         answer.say(said + known["sentence"])
+        for other in effect["alternatives"]:
+            answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     noise = ", ".join(
         f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()
     )

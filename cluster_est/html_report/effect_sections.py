@@ -162,6 +162,7 @@ def effects(run: ReportedRun) -> ReportSection:
             blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
+        blocks += [_rivals(each) for each in rejected if each.get("alternatives")]
     title = "What the model lacked" if run.is_loop else "Effects that were declared"
     return ReportSection("effects", title, tuple(blocks))
 

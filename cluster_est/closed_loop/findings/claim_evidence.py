@@ -9,6 +9,7 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.claims import ClaimEvidence, claim, lead
 from cluster_est.closed_loop.findings.effects import (
+    AlternativeEffect,
     ErrorChange,
     NamedEffect,
     comparable,
@@ -19,6 +20,9 @@ from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem.display import in_a_row, percent
 from workers.effects.kinds import FREE_FAMILY
 from workers.messages import Role
+
+MOST_NAMED = 3
+"""Alternatives of a lead that its sentence names."""
 
 
 def with_claims(
@@ -85,12 +89,23 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
         return ""
     if not claimed:
         label = " and ".join(label for label, _ in known)
-        return f"{label}: {known[0][1].sentence}"
+        others = [f"{each.words} at {each.site}" for e in effects for each in elsewhere(e)]
+        instead = f"; the data do not distinguish it from {in_a_row(others)}" if others else ""
+        return f"{label}: {known[0][1].sentence}{instead}"
     said = [
         f"{label} {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
         for label, own in known
     ]
     return f"probability that place and kind are right: {in_a_row(said)}"
+
+
+def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:
+    """Return the best alternative of an effect at each of the nearest few other places."""
+    found: dict[str, AlternativeEffect] = {}
+    for other in sorted(effect.alternatives, key=lambda each: each.criterion):
+        if other.site != effect.site:
+            found.setdefault(other.site, other)
+    return list(found.values())[:MOST_NAMED]
 
 
 def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tuple[float, float]:
