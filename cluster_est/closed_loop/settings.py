@@ -61,6 +61,7 @@ class LoopPart(enum.StrEnum):
 
     ADD = "add"
     ADD_TWO = "add two"
+    BEAM = "beam"
     EXCLUDE = "exclude"
     FREE_CURVE = "free curve"
     SIBLINGS = "siblings"

@@ -29,6 +29,7 @@ from cluster_est.closed_loop.settings import LoopPart
 Calls = Callable[..., Any]
 
 WATCHED = {
+    LoopPart.BEAM,
     LoopPart.EXCLUDE,
     LoopPart.FREE_CURVE,
     LoopPart.NEXT_BEST,
@@ -138,6 +139,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
         },
         moves: {
             "refit_siblings": siblings,
+            "distinct": watched(part.BEAM, moves.distinct, lambda kept, *_: bool(kept)),
         },
         argument_functions: {"refit_siblings": siblings},
         search: {

@@ -8,12 +8,14 @@ share is pruned in one place (`refits.py`, `linear_model.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
+from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.argument_functions import (
     criterion_falls,
     free_curve,
@@ -22,6 +24,7 @@ from cluster_est.closed_loop.selection.argument_functions import (
 from cluster_est.closed_loop.selection.gates import GATES, SELECTION
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.refits import (
+    ALIKE,
     SHORT,
     RefittedCandidate,
     best_first,
@@ -36,10 +39,15 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundEnd,
     RoundStart,
     can_be_claimed,
+    leaves_more_than_noise,
     may_leave_noise,
     useful_sse,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from workers.messages import FloatArray
+
+BEAM = 4
+"""Single effects that are grown to pairs at most."""
 
 DROP_PRICE = 2.0
 """Logarithms of the number of candidates by which the criterion may rise where an effect is
@@ -72,26 +80,86 @@ class Move:
 def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose one effect more."""
     del best
-    current, ranking = begun.model, begun.screening.ranking
-    useful = useful_sse(begun, len(current.added) + 1)
-    bound = begun.bound(np.inf, useful)
-    further = _leaves_much(begun)
-    found = refit(
-        fitter, current, ranking, begun.floor, begun.settings, further=further, bound=bound
-    )
-    found = proposed_by(LoopPart.ADD, found)
-    found += refit_siblings(fitter, begun, current, ranking, found)
-    best_of_each: dict[frozenset[str], RefittedCandidate] = {}
-    for contender in sorted(found, key=lambda c: c.criterion):
-        best_of_each.setdefault(contender.fitted.structure, contender)
-    return list(best_of_each.values())
+    return _grown(fitter, begun, begun.model, begun.screening.ranking, LoopPart.ADD)
 
 
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
-    """Propose two effects more, from pairs of directions."""
-    del best
+    """Propose two effects more: from pairs of directions, and grown from single ones.
+
+    A pair of directions is the first step of both. Where each effect is large, the second one is
+    seen only at the model with the first, so where no single one passes the best are grown: a beam
+    search of width `BEAM` (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon
+    University, 1976).
+    """
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
-    return refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
+    pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
+    found = {c.fitted.structure: c for c in pairs}
+    grows = begun.has(LoopPart.BEAM) and leaves_more_than_noise(begun.model, begun.floor)
+    for parent in distinct(fitter, begun, best.compared) if grows and best.won is None else ():
+        if can_be_linearised(fitter, parent):
+            ranking = rank(fitter, begun.settings, parent)
+            most = min((c.criterion for c in found.values()), default=np.inf)
+            for each in _grown(fitter, begun, parent, ranking, LoopPart.ADD_TWO, most):
+                known = found.setdefault(each.fitted.structure, each)
+                if each.criterion < known.criterion:
+                    found[each.fitted.structure] = each
+    return sorted(found.values(), key=lambda c: c.criterion)
+
+
+def _grown(
+    fitter: Fitter,
+    begun: RoundStart,
+    parent: FittedModel,
+    ranking: CandidateRanking,
+    move: LoopPart,
+    most: float = np.inf,
+) -> list[RefittedCandidate]:
+    """Refit structures with one effect more than a parent has; the best first, each once.
+
+    What can neither come near a criterion of `most` nor be of use is refitted no further.
+    """
+    accepted = parent is begun.model
+    bound = begun.bound(most + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1))
+    further = accepted and _leaves_much(begun)
+    settings, floor = begun.settings, begun.floor
+    found = refit(fitter, parent, ranking, floor, settings, further=further, bound=bound)
+    found = proposed_by(move, found)
+    found += refit_siblings(fitter, begun, parent, ranking, found)
+    best: dict[frozenset[str], RefittedCandidate] = {}
+    for contender in sorted(found, key=lambda c: c.criterion):
+        best.setdefault(contender.fitted.structure, contender)
+    return list(best.values())
+
+
+def _leaves_much(begun: RoundStart) -> bool:
+    """Return whether what is missing is still large: the score of a small effect says enough."""
+    closed = begun.base.sse - begun.model.sse
+    return closed < REFINEMENT.closes * (begun.base.sse - begun.floor)
+
+
+def distinct(
+    fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[FittedModel]:
+    """Return the best structures whose predictions differ, refitted to convergence.
+
+    Structures that predict the same leave the same residual, and so lead to the same next effects:
+    a second name for one of them would be a place lost.
+    """
+    kept: list[FittedModel] = []
+    changes: list[FloatArray] = []
+    for contender in sorted(contenders, key=lambda c: c.criterion):
+        change = contender.fitted.residuals - begun.base.residuals
+        change /= max(float(np.sqrt(np.add.reduce(change**2))), 1e-300)
+        alike = max((float(np.add.reduce(change * other)) for other in changes), default=0.0)
+        if contender.candidate.form.free or alike > ALIKE:
+            continue
+        kept.append(contender.fitted)
+        changes.append(change)
+        if len(kept) == BEAM:
+            break
+    done = {id(c.fitted) for c in contenders if c.full}
+    rough = [fitted for fitted in kept if id(fitted) not in done]
+    return [*(f for f in kept if id(f) in done), *refit_fully(fitter, rough)]
 
 
 def _two_are_worth(begun: RoundStart, best: RoundEnd) -> bool:
@@ -161,12 +229,6 @@ MOVES = (
     ),
 )
 """In the order in which they are tried."""
-
-
-def _leaves_much(begun: RoundStart) -> bool:
-    """Return whether what is missing is still large: the score of a small effect says enough."""
-    closed = begun.base.sse - begun.model.sse
-    return closed < REFINEMENT.closes * (begun.base.sse - begun.floor)
 
 
 def drop(fitter: Fitter, begun: RoundStart, model: FittedModel) -> FittedModel:
