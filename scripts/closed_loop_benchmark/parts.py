@@ -58,6 +58,16 @@ All systems may be used for tuning. Pairs and triples are drawn at random from t
 benchmark, in addition to those that it lists.
 """
 
+DELETED = """\
+Without these parts as many cases are right, with far fewer simulations. They are: other structures
+of the same size that were extended beside the best one ("beam"; what is left of it extends single
+effects to pairs if none is accepted), fits of an accepted structure from other starts ("restarts"),
+a second look at the declared model ("local minimum"), an effect replaced by another one ("replace")
+or two replaced by one ("merge two"), one effect or a free curve instead of all others even if these
+explain the data ("merge"; if they do not, this is still tried), and the widths of switches as
+unknowns ("switch widths").
+"""
+
 
 def paired(runs: Runs) -> str:
     """Write one line a part that was left out, over the cases that came to an end with it.
@@ -131,8 +141,11 @@ def _false_names(score: Score) -> int:
     return max(named - right, 0)
 
 
-def parts_page(runs: Runs) -> str:
-    """Write the page: a row a part, and the cases that are right with or without one alone."""
+def parts_page(runs: Runs, deleted: Runs | None = None) -> str:
+    """Write the page: a row a part, and the cases that are right with or without one alone.
+
+    `deleted` are runs of a search that had other parts, which the package no longer has.
+    """
     (_, whole), *others = runs.items()
     kinds = Counter(score.kind for score in whole.values() if not score.error)
     cases = ", ".join(f"{count} of the kind {kind}" for kind, count in kinds.most_common())
@@ -151,6 +164,8 @@ def parts_page(runs: Runs) -> str:
         "## Cases that are right with or without a part alone",
         markdown(head, differing),
     ]
+    if deleted:
+        parts += ["## Parts that were deleted", DELETED, paired(deleted)]
     return "\n\n".join(part.rstrip() for part in parts) + "\n"
 
 
