@@ -66,6 +66,7 @@ class LoopPart(enum.StrEnum):
     FREE_CURVE = "free curve"
     SIBLINGS = "siblings"
     DROP = "drop"
+    SWITCH_WIDTHS = "switch widths"
     FUNCTIONS_OF_TIME = "functions of time"
     PLACES_FIRST = "places first"
     PRUNING = "pruning"

@@ -35,6 +35,7 @@ WATCHED = {
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
     LoopPart.DROP,
+    LoopPart.SWITCH_WIDTHS,
     LoopPart.FUNCTIONS_OF_TIME,
     LoopPart.BOUNDED,
     *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
@@ -146,6 +147,11 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
             "choose": notes.chosen,
             "drop": watched(part.DROP, moves.drop, lambda left, _, begun, given: left is not given),
+            "release_widths": watched(
+                part.SWITCH_WIDTHS,
+                moves.release_widths,
+                lambda left, _, begun, given: left is not given,
+            ),
             "curve_instead": watched(
                 part.FREE_CURVE, argument_functions.curve_instead, lambda end, *_: end is not None
             ),
