@@ -2,8 +2,9 @@
 
 `MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, one
 more without an earlier one, a free curve. Of a structure that has passed the gates, `drop` takes
-out what no longer pays, and `release_widths` estimates how wide its switches are. `LoopPart` has their names, by which a setting leaves them out. What they
-share is pruned in one place (`refits.py`, `linear_model.py`).
+out what no longer pays, and `release_widths` estimates how wide its switches are. `LoopPart` has
+their names, by which a setting leaves them out. What they share is pruned in one place
+(`refits.py`, `linear_model.py`).
 """
 
 from __future__ import annotations
