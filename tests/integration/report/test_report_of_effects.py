@@ -137,7 +137,9 @@ def test_how_often_the_effect_is_chosen_again_is_said(closed, text, capsys):
     shares = {tuple(row["effects"]): row["chosen"] for row in sets if row["chosen"] >= 0.0}
     assert sum(shares.values()) == pytest.approx(1.0)
     assert shares["coulomb at der(v)",] > 0.5
-    assert f"the best set is coulomb at der(v) in {percent(shares['coulomb at der(v)',])}" in said
+    assert (
+        f"set of effects was coulomb at der(v) in {percent(shares['coulomb at der(v)',])}" in said
+    )
     assert f"{said[:1].upper()}{said[1:]}." in text
     assert main(["show", str(closed)]) == 0
     assert " ".join(said.split()) in " ".join(capsys.readouterr().out.split())

@@ -169,7 +169,7 @@ REFUSED = [
     (
         ce.LoopSettings,
         {"without": ("restart",)},
-        "without: there is no part 'restart'; did you mean 'restarts'",
+        "without: the search has no part 'restart'; did you mean 'restarts'",
     ),
 ]
 WHERE = {ce.UncertaintySettings: "uncertainty.", ce.LoopSettings: "closed_loop."}

@@ -124,7 +124,7 @@ def test_the_result_of_a_loop_has_the_same_fields_and_tables(found):
     assert result.x == result.after.x
     assert result.jac.shape == (len(result.fun), len(result.after.solution.x))
     for shown in (html(result), str(result)):
-        assert f"Closed loop: {result.verdict}." in shown
+        assert f"Search for missing effects: {result.verdict}." in shown
         assert percent(result.effects[0].claim.probability) in shown
 
 

@@ -92,15 +92,15 @@ def test_words_and_sentence_stand_for_the_equation(printed, page):
 
 def test_effects_and_leads_say_how_often_such_were_right(printed, page):
     sure = (
-        "right in place and kind with 92 %: of 54 claims like this in the benchmark, 51 were right"
+        "place and kind are right with a probability of 92 %: of 54 similar claims, 51 were right"
     )
-    lead = "a lead, and no claim: of 75 such leads in the benchmark, 12 were right"
+    lead = "this is a lead, not a claim: of 75 leads in the benchmark, 12 were right"
     found = LOOP | {"effects": [EFFECT | {"claim": {"sentence": sure}}]}
     assert f"  {sure}" in printed(found)
-    assert f"R{sure[1:]}." in page(found)
+    assert f"P{sure[1:]}." in page(found)
     unexplained = {"verdict": "unexplained", "rejected": [EFFECT | {"claim": {"sentence": lead}}]}
     assert f"der(v) += k * v^2; {lead}" in printed(LOOP | unexplained)
-    assert f"A{lead[1:]}." in page(LOOP | unexplained)
+    assert f"T{lead[1:]}." in page(LOOP | unexplained)
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,7 @@ def said_of(problem, fitted):
     else:
         page = run_checks(problem, ce.Resources(executor="local"), 60.0)
         notes = [f"{found.found}: {found.do}" for found in page.findings]
-    return [note for note in notes if "in another state than the model" in note]
+    return [note for note in notes if "in a different state from the model" in note]
 
 
 @pytest.mark.parametrize(("fitted", "sigma"), [(False, NOISE), (True, NOISE), (True, 1.0)])
