@@ -161,5 +161,5 @@ def test_a_budget_that_ends_it_leaves_no_draws_and_says_so(tmp_path):
     folder = fitted(tmp_path, DRAWN, "budget.evaluations=300", "--no-report")
     assert not (folder / "posterior.parquet").exists()
     (said,) = [note for note in facts(folder)["notes"] if note.startswith("posterior:")]
-    assert said.startswith("posterior: there are no draws, because it was stopped after ")
+    assert said.startswith("posterior: there are no draws, because sampling was stopped after ")
     assert said.endswith(" of 40 steps")

@@ -273,5 +273,5 @@ def test_what_depends_on_nothing_estimated_is_refused(linear):
     [([planned(name="run")], "run"), ([planned(PLANNED), planned(0.5 * PLANNED)], "planned")],
 )
 def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
-    with pytest.raises(ProblemError, match=f"must have a unique name but '{name}' is used in"):
+    with pytest.raises(ProblemError, match=f"must have a unique name but '{name}' is the name of another"):
         wide(linear[0], 10, *map(PredictionTarget, plans))
