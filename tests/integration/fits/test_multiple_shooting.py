@@ -291,7 +291,7 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
 @pytest.mark.parametrize(
     ("problem", "shooting", "how", "said"),
     [
-        (springs(), {}, {}, "shooting: must have segments or length.* neither"),
+        (springs(), {}, {}, "shooting: must have either segments or length.* neither"),
         (springs(), {"segments": 3, "length": 1.0}, {}, "shooting: must have .* both"),
         (springs(), {"segments": 1}, {}, r"shooting\.segments: must be .*2"),
         (springs(), {"length": 0.0}, {}, r"shooting\.length: must be .*0"),

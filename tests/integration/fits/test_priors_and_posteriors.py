@@ -153,7 +153,7 @@ def test_a_posterior_predicts_bands_that_the_report_draws(tmp_path):
     expected = np.abs(ends[1] - ends[0])
     assert np.linalg.norm(widths) == pytest.approx(np.linalg.norm(expected), rel=0.25)
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "the output for the posterior of the values" in page
+    assert "the output for parameter values from the posterior" in page
     assert 'class="band after"' in page
 
 

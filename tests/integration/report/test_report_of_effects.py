@@ -49,7 +49,7 @@ def fitted(closed: Path, name: str, effect: str) -> Path:
 def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(
     closed, figures, text, shape
 ):
-    for said in ("Found: Coulomb friction at der(v)", "What the model lacked", "Candidates"):
+    for said in ("Found: Coulomb friction at der(v)", "Missing effects", "Candidates"):
         assert said in text
     x, y, low, high = (np.array(shape[name]) for name in ("x", "y", "lower", "upper"))
     assert (shape["part"], shape["variable"], shape["variable_unit"]) == ("der(v)", "v", "m/s")
@@ -107,8 +107,8 @@ def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, shape):
     assert low == pytest.approx(high, rel=0.02)
     assert sum(own["counts"]) == sum(shape["counts"])
     page = Page(write_report(declared))
-    assert "Effects that were declared" in page.text
-    assert "der(v) over v (m/s), where the training data were" in page.text
+    assert "Declared effects" in page.text
+    assert "der(v) over v (m/s), in the range of the training data" in page.text
 
 
 @pytest.mark.slow

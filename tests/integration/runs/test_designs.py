@@ -70,7 +70,13 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
     assert "rival of coulomb at der(v)" in printed
     assert "assume that the models are exact" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
-    for text in ("What is fed in", "What is expected", "coulomb at der(v)", ">F (N)<", ">y (m)<"):
+    for text in (
+        "Input of the experiment",
+        "Predicted outputs",
+        "coulomb at der(v)",
+        ">F (N)<",
+        ">y (m)<",
+    ):
         assert text in page
     probabilities = rows(folder / "next", "probabilities")
     told = sum(each["after"] > max(0.9, each["before"]) for each in probabilities)

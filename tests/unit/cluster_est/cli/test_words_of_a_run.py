@@ -219,7 +219,11 @@ def errors(before, after):
         (LOOP, errors(1.5, 1.2), "The error fell from 1.50 to 1.20 times"),
         (LOOP, errors(1.2, 1.5), "The error rose from 1.20 to 1.50 times"),
         (LOOP, errors(nan, 1.5), "The error is 1.50 times"),
-        (LOOP | {"cost": 4.0}, [ERROR], "was 4.000 with the declared model, fitted, and is 4.000."),
+        (
+            LOOP | {"cost": 4.0},
+            [ERROR],
+            "was 4.000 after the fit of the declared model and is 4.000.",
+        ),
         (FIT | {"cost": 4.0}, [ERROR], "The cost was 4.000 at the start values and is 4.000."),
         (LOOP | {"cost": 2.0}, [ERROR], "fitted, and is 2.000: a factor of 2.00 lower."),
         (LOOP | {"cost": 8.0}, [ERROR], "fitted, and is 8.000: a factor of 2.00 higher."),

@@ -351,7 +351,9 @@ def test_only_bins_with_samples_count():
 
 
 def test_nothing_is_said_of_what_is_no_curve():
-    assert not also("square", replace(visited(0.3, 2.1, square), why_not="it depends on the past"))
+    assert not also(
+        "square", replace(visited(0.3, 2.1, square), why_not="the effect depends on the past")
+    )
 
 
 def test_an_undetermined_band_leaves_only_equations_that_are_the_same_there():
