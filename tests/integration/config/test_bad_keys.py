@@ -77,7 +77,7 @@ def test_a_missing_key_is_named_with_what_it_is_for(refuse, path, pattern):
         ("experiments", {}, r"experiments: .*a list.*\{\}.*\[\[experiments\]\]"),
         (f"{A}.id", "", r"experiments\[0\].id: .*not be empty"),
         (f"{A}.sample_time", 0.1, f"{EXPERIMENT}.*time.*sample_time.*both; remove one"),
-        (f"{A}.inputs.F", 3, "inputs.F: .*a column's name or { column, interpolation }.*3"),
+        (f"{A}.inputs.F", 3, "inputs.F: .*the name of a column or { column, interpolation }.*3"),
         (f"{A}.inputs.F", {}, "inputs.F.column is missing"),
         (f"{A}.inputs.F", {"column": "force", "interpolation": "cubic"}, "'linear' or 'hold'"),
         (f"{A}.outputs.y", 3, f"{EXPERIMENT}.outputs.y: .*a column's name"),

@@ -161,7 +161,7 @@ REFUSED = [
     (ce.UncertaintySettings, {"bootstrap": -1}, "bootstrap: must be at least 0.*-1"),
     (ce.UncertaintySettings, {"confidence": 95}, "confidence: must be less than 1.*95"),
     (ce.UncertaintySettings, {"rise": np.nan}, "rise: must be a finite number"),
-    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list.*write .*one alone"),
+    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list.*write .*for a single value"),
     (ce.LoopSettings, {"max_effects": 1.5}, "max_effects: must be a whole number.*1.5"),
     (ce.LoopSettings, {"significance": 0}, "significance: must be greater than 0.*0"),
     (ce.LoopSettings, {"draws": 99}, "draws: must be at least 100.*99"),
@@ -300,6 +300,6 @@ def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name
         return
     assert re.search(
         rf"ImportError: cluster_est needs .*Python finds .*{re.escape(str(tmp_path / name))}"
-        " under that name first: rename it",
+        " under that name: rename that file or folder",
         ended.stderr,
     ), ended.stderr

@@ -237,7 +237,7 @@ def test_commands_read_what_was_saved(result, tmp_path, capsys):
     assert main(["report", str(saved)]) == 0
     assert (saved / "report.html").stat().st_size > 10_000
     assert main(["export", str(saved), "--text"]) == 2
-    assert "was saved from Python and has no config" in capsys.readouterr().err
+    assert "was saved from Python without one" in capsys.readouterr().err
 
 
 def test_nothing_is_replaced_unless_asked(result, tmp_path):
