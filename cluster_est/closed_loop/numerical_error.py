@@ -156,10 +156,8 @@ class NumericalError:
             "explain"
         )
         return (
-            (
-                f"with the effects, {self._said}; {refused}; {self._advice} makes this error "
-                "negligible"
-            ),
+            f"with the effects, {self._said}; {refused}; {self._advice} makes this error "
+            "negligible",
         )
 
     @property
@@ -170,7 +168,7 @@ class NumericalError:
         size = f"{figure} times the noise"
         if not np.isfinite(self.ratio):  # there is none
             size = f"{self.rms[largest] / self.residual[largest]:.2g} times the remaining residual"
-        how = "" if np.isnan(self.order) else f", of order {self.order:.2g} in the step"
+        how = "" if np.isnan(self.order) else f"; convergence order {self.order:.2g}"
         return f"{self.scale.name} causes an error of {size} (at {output}{how})"
 
     @property

@@ -156,11 +156,14 @@ def noise_sentence(change: NoiseChange, *, kept: bool) -> str:
     """Say how strong process noise is, and was."""
     unit = f" {change.unit}" if change.unit not in ("", "1") else ""
     kind = "standard deviation" if change.coloured else "strength"
-    lasting = f", lasting {change.time_before:.3g} s" if change.coloured else ""
+    lasting = f", correlation time {change.time_before:.3g} s" if change.coloured else ""
     if not kept:
         return f"process noise {change.name}: {kind} {change.before:.3g}{unit}{lasting}"
     if change.coloured:
-        lasting = f", lasting {change.time_before:.3g} s before and {change.time_after:.3g} s now"
+        lasting = (
+            f"; the correlation time was {change.time_before:.3g} s before and is "
+            f"{change.time_after:.3g} s with the effects"
+        )
     left = change.variance_left
     return (
         f"process noise {change.name}: {kind} {change.before:.3g}{unit} before and "

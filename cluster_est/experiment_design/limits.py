@@ -67,7 +67,7 @@ class ExperimentLimits(Settings):
     section: ClassVar[str] = "limits"
 
     inputs: dict[str, InputLimits] = Field(
-        default_factory=dict, description="inputs to be designed, by their names in the FMU"
+        default_factory=dict, description="inputs to design, by their names in the FMU"
     )
     duration: Annotated[Pair, BeforeValidator(_pair)] = Field(
         description="duration in seconds, or [shortest, longest]"
@@ -108,7 +108,9 @@ class ExperimentLimits(Settings):
         for name, signal in self.signals.items():
             _check_range(signal, f"signals.{name}")
             if math.isinf(signal.lower) and math.isinf(signal.upper):
-                raise sentence(f"signals.{name}: must have lower or upper but has neither; add one")
+                raise sentence(
+                    f"signals.{name}: must have lower or upper, but has neither; add one of them"
+                )
         if not self.inputs and not self.start:
             raise sentence(
                 "inputs: must name at least one input, or start must name at least one start "

@@ -292,7 +292,7 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
         if variables[name].type == "Boolean":
             raise ProblemError(
                 f"{dotted('inputs', name)}: must be a real number to be designed, but is true or "
-                "false; leave this input out, so that it is taken from the experiment like"
+                "false; leave this input out, and it is taken from the experiment that like names"
             )
     for key, names in (("signals", limits.signals), ("start", limits.start)):
         for name in names:

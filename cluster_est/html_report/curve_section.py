@@ -248,8 +248,9 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
     if long:
         samples = sum(len(each.measured) for each in known.values())
         said += (
-            f" There are {count(samples)} measured values. Each of the {columns} columns of a "
-            "chart shows the lowest and the highest of its values, so that no peak is lost. "
+            f" There are {count(samples)} measured values. A chart is divided into {columns} "
+            "columns; each shows the lowest and the highest of its values, so that no peak is "
+            "lost. "
         )
         of = "all" if full == long else f"{full} of {long}"
         said += (

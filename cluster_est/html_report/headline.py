@@ -105,7 +105,7 @@ def _designed(run: ReportedRun) -> str:
     if rows:
         told = sum(row["after"] > max(LIKELY, row["before"]) for row in rows)
         if not told:
-            return f"{said}; it distinguishes no model from its rivals"
+            return f"{said}; it is not expected to distinguish any model from its rivals"
         return (
             f"{said}; it is expected to distinguish {told} of {len(rows)} models from their "
             "rivals, if that model is the right one"

@@ -135,7 +135,7 @@ class RepairedModel:
     notes: tuple[str, ...]
     errors: tuple[ReportedError, ...] = ()
     ranges: Mapping[str, str] = field(default_factory=dict)
-    without: str = "the original at the start values"
+    without: str = "the original FMU at the start values"
     of_experiments: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
@@ -328,7 +328,7 @@ class ParameterReader:
 
 
 Row = Mapping[str, Any]
-FITTED = "the original with fitted parameters"
+FITTED = "the original FMU with fitted parameters"
 """What the errors of a closed loop before its repair are those of."""
 
 

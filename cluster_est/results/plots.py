@@ -41,7 +41,7 @@ def new_axes(ax: Axes | None) -> Axes:
         from matplotlib import pyplot
     except ImportError:
         raise ProblemError(
-            "plot: needs matplotlib, which is not installed; pip install 'cluster-est[plot]'"
+            "plot: needs matplotlib, which is not installed; run pip install 'cluster-est[plot]'"
         ) from None
     made: Axes = pyplot.subplots(layout="constrained")[1]
     return made

@@ -141,9 +141,9 @@ class ShootingSummary:
             )
         if self.promised < 1.0:
             return (
-                "if the records were simulated in one piece, standard errors would be as small as "
-                f"{self.promised:.2g} times those from the segments, as for a chaotic model; they "
-                "would only be the width of one minimum among very many, so they are not used"
+                f"in one piece, the records would give standard errors down to {self.promised:.2g} "
+                "times those from the segments, as for a chaotic model. Such errors only describe "
+                "the width of one minimum among very many, so they are not used"
             )
         return (
             "if the records are simulated in one piece from their start, the cost is "

@@ -402,7 +402,7 @@ def _flow(placed: PlacedLaw) -> str:
     if placed.law is not Law.ABOVE:
         return ""
     relieved = placed.argument.same_as(PRESSURE)
-    return "outflow above a threshold (such as a relief valve)" if relieved else "overflow"
+    return "outflow above a threshold (as through a relief valve)" if relieved else "overflow"
 
 
 def _stock(placed: PlacedLaw) -> str:

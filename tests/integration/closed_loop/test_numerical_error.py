@@ -194,7 +194,7 @@ def test_an_error_hides_effects_that_is_large_beside_noise_and_residual(
 
 def test_the_refusal_says_how_large_and_what_to_set(of_a_step):
     found = sized(of_a_step, 4.3, 4.4)
-    said = "communication step of 0.1 s.*4.3 times the noise.*at y, of order 1.*"
+    said = "communication step of 0.1 s.*4.3 times the noise.*at y; convergence order 1.*"
     said += "a missing effect cannot be distinguished.*set model.step = 0.0007813.* first"
     assert re.search(said, found.refusal)
     assert found.notes[0].startswith("the search looked for no effects, because the commun")

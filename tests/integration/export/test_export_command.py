@@ -76,7 +76,10 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     folder = Path(extract(str(fmu), str(tmp_path / "unpacked")))
     result = output_of(folder, data["time"], {"F": data["force"]}, "y")
     np.testing.assert_allclose(result, truth, rtol=0.0, atol=1e-6)
-    assert "communication steps was not measured." in (folder / "documentation" / "README.md").read_text()
+    assert (
+        "communication steps was not measured."
+        in (folder / "documentation" / "README.md").read_text()
+    )
 
 
 @pytest.mark.slow

@@ -154,7 +154,9 @@ def test_get_and_set_state(exported):
 
 
 def test_what_the_run_needs_and_fmi_2_has_not_is_refused(own_fmu, tmp_path):
-    with pytest.raises(ModelError, match=r"'int64' is .* of FMI 3.0 which has no equivalent there"):
+    with pytest.raises(
+        ModelError, match=r"'int64' is .* of FMI 3.0, which has no equivalent there"
+    ):
         written(repair(own_fmu, ("int64", 2**40)), tmp_path / "types.fmu")
 
 

@@ -299,7 +299,7 @@ def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name
         assert ended.returncode == 0, ended.stderr
         return
     assert re.search(
-        rf"ImportError: cluster_est needs .*Python finds .*{re.escape(str(tmp_path / name))}"
+        rf"ImportError: cluster_est needs .*Python first finds .*{re.escape(str(tmp_path / name))}"
         " under that name: rename that file or folder",
         ended.stderr,
     ), ended.stderr

@@ -27,7 +27,7 @@ def at_bound(*estimates):
     ("after", "cause"),
     [
         (at_bound(SHAPE), "e.half at its upper bound, 31 m: at the end of its range, a law"),
-        (at_bound(DECLARED), "k at its upper bound, 9: an effect may stand in for what the bound"),
+        (at_bound(DECLARED), "k at its upper bound, 9: an effect may compensate for a value"),
         (SLOW, "the last fit of the model with the effects did not converge"),
     ],
     ids=["shape at its end", "declared parameter at its bound", "not converged"],

@@ -176,7 +176,7 @@ WHERE = {
     "reactions and valves": [
         ({"c": "mol/l"}, "der(c)", "square c", FALLS, "second-order loss (as in a reaction)"),
         ({"p": "bar"}, "der(p)", "hinge p", SPILLS,
-         "outflow above a threshold (such as a relief valve)"),
+         "outflow above a threshold (as through a relief valve)"),
         ({"V": "m3"}, "der(V)", "hinge V", SPILLS, "overflow"),
     ],
     "units of a signal are those of a config": [
