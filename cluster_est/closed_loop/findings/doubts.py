@@ -60,8 +60,8 @@ def _at_bounds(added: Collection[str], after: Result) -> list[str]:
     said = []
     if declared:
         said.append(
-            f"the fit with the effects ends with {in_a_row(declared)}: an effect may compensate for "
-            "a value that the bound excludes, so widen the bound unless it is a physical limit"
+            f"the fit with the effects ends with {in_a_row(declared)}: an effect may compensate "
+            "for a value that the bound excludes, so widen the bound unless it is a physical limit"
         )
     if own:
         said.append(
