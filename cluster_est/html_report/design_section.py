@@ -137,7 +137,7 @@ def _models(run: ReportedRun) -> list[Block]:
         )
         for row in models
     ]
-    names = ("if this is right", "#now", "#after it", "#a random input", "#a recorded one")
+    names = ("if this is right", "#now", "#after it", "#a random input", "#a recorded input")
     said = (
         "Expected probability of each model if it is the right one, among itself and those rivals "
         "that at least one input distinguishes from it"

@@ -72,7 +72,7 @@ def residuals(run: ReportedRun) -> ReportSection:
         blocks += _output(f"residual-{number}", name, units.get(name, ""), outputs[name])
     if len(outputs) > len(ranked) > 0:
         blocks.append(TextBlock(f"{len(ranked)} of {len(outputs)} outputs are shown.", "faint"))
-    return ReportSection("Residuals", "What is left", tuple(blocks))
+    return ReportSection("residuals", "Residuals", tuple(blocks))
 
 
 def _size(records: list[OutputCurves]) -> float:

@@ -363,7 +363,7 @@ def _added(
     for effect, values, at in zip(
         repair.effects, repair.coefficients, repair.positions, strict=True
     ):
-        what = f"of effect {effect.form.name} at {effect.site}"
+        what = f"coefficient of effect {effect.form.name} at {effect.site}"
         for i, value in enumerate(values):
             text = f"{what}; {value.interval}" if value.interval else what
             rows.append((value.name, "COEFFICIENT", at + i, text, value, ""))

@@ -237,7 +237,7 @@ class ResultView(ABC):
             for e in facts.get("effects") or ()
         ]
         return (
-            display.DisplayTable("Effects", ("name", "words", "equation", "right with"), effects),
+            display.DisplayTable("Effects", ("name", "words", "equation", "probability"), effects),
             _parameters(tuple(self.params.values()), too_narrow=narrow),
             _errors(self.table("errors").to_pylist()),
         )

@@ -113,7 +113,7 @@ def _wrong(
         return
     own = swing_of(output.times, simulated)
     if own is not None and abs(own.cycles - measured.cycles) > OTHER_CYCLES:
-        yield error / spread, measured, f"swings with {own.period:.3g} s"
+        yield error / spread, measured, f"oscillates every {own.period:.3g} s"
     elif float(np.std(simulated)) < HARDLY_MOVING * spread:
         yield error / spread, measured, "hardly moves"
 

@@ -173,7 +173,7 @@ class CurveSource:
         fine = read_run_columns(finer) if finer.is_file() else None
         found = recorded_curves({"residuals": table, "trajectories": fine}, experiment)
         ended = "At the estimates of this run." if is_ended(facts) else "As found so far."
-        before = "the declared model, fitted" if facts.get("verdict") is not None else "the start"
+        before = "the fitted declared model" if facts.get("verdict") is not None else "the start"
         kept = tuple(_thinned(name, c) for (_, name), c in found.items() if c.has_times)
         return ExperimentCurves(names, experiment, kept, f"{ended} Before: {before}.")
 

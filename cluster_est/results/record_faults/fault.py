@@ -128,7 +128,7 @@ class RecordFault:
                 "which suggests a clock offset"
             )
         if self.kind == "swapped":
-            return f"{self.sort} {name} look swapped"
+            return f"{self.sort} {name} seem to be swapped"
         if self.kind == "initial state":
             return f"its initial state {name} differs from the declared one"
         low, high = self.frequencies

@@ -225,8 +225,8 @@ def errors(before, after):
             "was 4.000 after the fit of the declared model and is 4.000.",
         ),
         (FIT | {"cost": 4.0}, [ERROR], "The cost was 4.000 at the start values and is 4.000."),
-        (LOOP | {"cost": 2.0}, [ERROR], "fitted, and is 2.000: a factor of 2.00 lower."),
-        (LOOP | {"cost": 8.0}, [ERROR], "fitted, and is 8.000: a factor of 2.00 higher."),
+        (LOOP | {"cost": 2.0}, [ERROR], "declared model and is 2.000: a factor of 2.00 lower."),
+        (LOOP | {"cost": 8.0}, [ERROR], "declared model and is 8.000: a factor of 2.00 higher."),
     ],
 )
 def test_what_stays_has_not_fallen(page, facts, errors, said):

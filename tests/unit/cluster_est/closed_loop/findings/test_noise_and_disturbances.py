@@ -122,7 +122,8 @@ def test_an_output_that_is_followed_exactly_has_nothing_to_compare():
         (TRUE / 10.0, "the declared sigma is probably 10 times too small; correct it"),
         (
             TRUE * 10.0,
-            "probably 9.9 times too large; correct it, because otherwise errors over sigma have no",
+            "probably 9.9 times too large; correct it, because otherwise errors over sigma have no "
+            "meaning",
         ),
         (None, ""),
     ],
