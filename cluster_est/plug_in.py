@@ -37,8 +37,8 @@ def check_class_attributes(derived: type) -> None:
     for name, annotation in get_annotations(derived).items():
         if name in declared and "ClassVar" not in str(annotation):
             raise TypeError(
-                f"{derived.__module__}.{derived.__qualname__}.{name}: must be declared for the "
-                f"class but is an option; write {name}: {declared[name]}"
+                f"{derived.__module__}.{derived.__qualname__}.{name}: must be a class variable but "
+                f"is declared as an option; write {name}: {declared[name]}"
             )
 
 
@@ -100,7 +100,7 @@ def check_option(
     if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
         raise error(f"{where}: must be {called} but is {shown(value)}")
     if hint is not str and not _usual(value, hint):
-        raise error(f"{where}: must be finite and of a usual size but is {shown(value)}")
+        raise error(f"{where}: must be finite and not extremely large, but is {shown(value)}")
     least, most = limits.get("least"), limits.get("most")
     if least is not None and not value >= least:
         raise error(f"{where}: must be at least {least:g} but is {shown(value)}")

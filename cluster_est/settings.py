@@ -59,7 +59,7 @@ def as_column(value: Any) -> Any:
         return {"column": value}
     if isinstance(value, dict | BaseModel):
         return value
-    raise PydanticCustomError("input", "must be a column's name or { column, interpolation }")
+    raise PydanticCustomError("input", "must be the name of a column or { column, interpolation }")
 
 
 def as_group(value: Any) -> Any:
@@ -165,9 +165,9 @@ class Settings(ConfigSection):
             named = {self.also.get(key, key): value for key, value in named.items()}
             if len(values) > len(keys) or named.keys() & keys[: len(values)]:
                 raise ProblemError(
-                    f"{self.section}: each of {', '.join(keys)} must be given once at most, but "
-                    f"{len(values)} values are given without names, and with names "
-                    f"{', '.join(named) or 'none'}; name all"
+                    f"{self.section}: each of {', '.join(keys)} must be given at most once, but "
+                    f"{len(values)} values are given without names, and these with names: "
+                    f"{', '.join(named) or 'none'}; name all values"
                 )
             given = dict(zip(keys, values, strict=False)) | named
             given = {k: v.item() if isinstance(v, np.generic) else v for k, v in given.items()}
@@ -322,7 +322,7 @@ def _where_it_belongs(
     for depth in range(len(parts) - 2, 0, -1):
         section, _ = _walk(root, parts[:depth])
         if _is_section(section) and parts[-1] in dict(keys_of(section)):
-            return f"; {str(parts[-1])!r} is a key of {_path(parts[:depth], raw)} itself"
+            return f"; {str(parts[-1])!r} is a key of the section {_path(parts[:depth], raw)}"
     return ""
 
 
@@ -331,7 +331,7 @@ def _advice(kind: str, value: Any, path: str) -> str:
     if kind == "literal_error" or not isinstance(value, str | dict):
         return ""
     if kind in ("list_type", "tuple_type") and isinstance(value, str):
-        return f"; write [{shown(value)}] for one alone"
+        return f"; write [{shown(value)}] for a single value"
     if isinstance(value, dict):
         return "; open each entry with [[experiments]]" if path == "experiments" else ""
     number = value.strip().lstrip("+-").replace(".", "", 1).isdigit()

@@ -19,11 +19,14 @@ SEAL = "cluster-est crc32:00000000"
 """What stands in the place of a seal until `sealed` fills it in."""
 SEAL_KEY = "checksum"
 """The key of a seal in run.json, and in the metadata of tables and of messages of a log."""
-MEND = "run the same command again with --resume, which repeats the damaged parts"
+MEND = "run the same command again with --resume to repeat the damaged parts"
 MAKE_ROOM_AND_RESUME = (
-    "check that there is space and that it can be written, and continue with --resume"
+    "make sure that the disk has space and that this path can be written, and continue with "
+    "--resume"
 )
-ELSEWHERE = "check that there is space and that it can be written, or choose another"
+ELSEWHERE = (
+    "make sure that the disk has space and that this path can be written, or choose another path"
+)
 _FILE_SEAL = re.compile(rb"cluster-est crc32:([0-9a-f]{8})")
 
 

@@ -60,13 +60,13 @@ def _at_bounds(added: Collection[str], after: Result) -> list[str]:
     said = []
     if declared:
         said.append(
-            f"with the effects the fit ends with {in_a_row(declared)}: an effect may replace what "
-            "the bound forbids, so widen the bound if it is not a physical one"
+            f"the fit with the effects ends with {in_a_row(declared)}: an effect may compensate "
+            "for a value that the bound excludes, so widen the bound unless it is a physical limit"
         )
     if own:
         said.append(
-            f"the fit ends with {in_a_row(own)}: at the end of its range a law is a piece of "
-            "another one, so the name of the effect is in doubt"
+            f"the fit ends with {in_a_row(own)}: at the end of its range, a law behaves like a "
+            "part of another law, so the name of the effect is in doubt"
         )
     return said
 
@@ -96,6 +96,6 @@ def _not_converged(model: str, fit: Result) -> str:
     """Say that a fit reached no solution, so that its values are not the best."""
     why = str(fit.solution.ending).partition(";")[0]
     return (
-        f"the last fit of {model} did not converge ({why}): its values, intervals and errors are "
-        "from the last point that it reached"
+        f"the last fit of {model} did not converge ({why}): the values, intervals and errors are "
+        "those of the last point that the fit reached"
     )

@@ -38,14 +38,14 @@ def test_detect_sees_that_something_is_missing(seen):
     assert seen.missing
     assert max(seen.p, seen.p_white, seen.p_structure) <= 0.01
     assert seen.rms["y"] > 3.0 * seen.noise["y"]
-    assert "something is missing" in seen.sentence
+    assert "the model lacks something" in seen.sentence
 
 
 @pytest.mark.parametrize(
     ("p", "p_white", "p_structure", "candidates", "said"),
     [
-        (1e-5, 1e-5, 0.001, 40, "something is missing (p = 1e-05 among 40 candidates)"),
-        (0.0, 0.0, 0.001, 1, "something is missing (p < 1e-300 among 1 candidate)"),
+        (1e-5, 1e-5, 0.001, 40, "the model lacks something (p = 1e-05 among 40 candidates)"),
+        (0.0, 0.0, 0.001, 1, "the model lacks something (p < 1e-300 among 1 candidate)"),
         (
             1e-5,
             0.3,

@@ -40,7 +40,7 @@ METHODS = [
     (options("least_squares", ftol=float("inf")), "ftol: .*finite.*inf"),
     (options("least_squares", ftol=-1e-9), "ftol: .*at least 0.*-1e-09"),
     (options("least_squares", differences="fwd"), "differences: .*'sensitivities'.*'fwd'"),
-    (options("scipy_least_squares", algorithm="lm"), "options.algorithm.*cannot keep bounds"),
+    (options("scipy_least_squares", algorithm="lm"), "options.algorithm.*does not support bounds"),
     (options("pattern_search", contraction=1.5), "method.options.contraction: .*1.5"),
     (options("sqp", algorithm="ipopt"), "method.options.algorithm: .*'native'.*'ipopt'"),
 ]

@@ -28,9 +28,10 @@ def test_an_unknown_key_is_named_with_its_line_and_the_nearest_known_one(refuse,
 
 def test_a_key_that_stands_too_deep_is_shown_where_it_belongs(refuse):
     outputs = {"x": {"column": "x", "sigma": 0.1}}
-    refuse({f"{A}.outputs": outputs}, rf"outputs\.x\.sigma.*'sigma' is a key of {EXPERIMENT}")
+    belongs = rf"outputs\.x\.sigma.*'sigma' is a key of the section {EXPERIMENT}"
+    refuse({f"{A}.outputs": outputs}, belongs)
     outputs = {"x": {"column": "x", "sgma": 0.1}}
-    assert "itself" not in refuse({f"{A}.outputs": outputs}, "sgma")
+    assert "is a key of" not in refuse({f"{A}.outputs": outputs}, "sgma")
 
 
 @pytest.mark.parametrize(
@@ -77,10 +78,10 @@ def test_a_missing_key_is_named_with_what_it_is_for(refuse, path, pattern):
         ("experiments", {}, r"experiments: .*a list.*\{\}.*\[\[experiments\]\]"),
         (f"{A}.id", "", r"experiments\[0\].id: .*not be empty"),
         (f"{A}.sample_time", 0.1, f"{EXPERIMENT}.*time.*sample_time.*both; remove one"),
-        (f"{A}.inputs.F", 3, "inputs.F: .*a column's name or { column, interpolation }.*3"),
+        (f"{A}.inputs.F", 3, "inputs.F: .*the name of a column or { column, interpolation }.*3"),
         (f"{A}.inputs.F", {}, "inputs.F.column is missing"),
         (f"{A}.inputs.F", {"column": "force", "interpolation": "cubic"}, "'linear' or 'hold'"),
-        (f"{A}.outputs.y", 3, f"{EXPERIMENT}.outputs.y: .*a column's name"),
+        (f"{A}.outputs.y", 3, f"{EXPERIMENT}.outputs.y: .*the name of a column"),
         (f"{A}.outputs.F", "force", "outputs.F: .*not be an input"),
         (f"{A}.sigma", {"y": 0.0}, f"{EXPERIMENT}.sigma.y: .*greater than 0.*0.0"),
         (f"{A}.sigma", {"yy": 1.0}, "sigma.yy: .*one of its outputs"),

@@ -104,7 +104,7 @@ def test_an_equation_that_does_nothing_is_left_out_of_an_export(folder, capsys):
     assert code == 0
     assert main(["export", str(out), "--text"]) == 0
     shown = "".join(capsys.readouterr())
-    assert "'friction' has no influence at its values and is left out" in shown
+    assert "'friction' is left out, because it has no influence" in shown
 
 
 def test_an_effect_may_have_coefficients_of_each_experiment(folder):

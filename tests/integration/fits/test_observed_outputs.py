@@ -34,7 +34,7 @@ def test_parameters_and_scales_are_found_and_stand_in_tables_and_a_note(differen
     rows = scaled.table("scales").to_pylist()
     assert [row["scale"] for row in rows] == pytest.approx(SCALES, rel=1e-3)
     assert [row["offset"] for row in rows] == pytest.approx(OFFSETS, abs=1e-3)
-    assert any("y is compared up to scale or offset: scale 0.5 to 3.7" in n for n in scaled.notes)
+    assert any("the fitted scale is 0.5 to 3.7" in n for n in scaled.notes)
     table = scaled.table("residuals").to_pydict()
     gaps = np.array(table["measured"]) - np.array(table["simulated"])
     assert np.abs(gaps).max() < 1e-3

@@ -163,7 +163,7 @@ def test_a_config_asks_for_it(config, tmp_path):
 def test_a_check_takes_volts_for_no_wrong_unit(config, capsys):
     main(["check", config, *SHARED])
     said = capsys.readouterr().out
-    assert "another state" not in said
+    assert "a different state" not in said
     assert "seems to be in" not in said
 
 

@@ -132,7 +132,7 @@ def test_of_more_charts_than_a_page_can_hold_those_with_the_largest_errors_are_d
     smallest = {f"run{i}" for i in np.argsort(sizes)[:2]}
     drawn = {p.attributes["data-experiment"] for p in Figures(path).panels}
     assert drawn == {f"run{i}" for i in range(252)} - smallest
-    assert "Of 252 charts the 250 with the largest errors are drawn." in Page(path).text
+    assert "Of 252 charts, the 250 with the largest errors are drawn." in Page(path).text
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_of_more_samples_than_a_page_may_hold_it_says_where_they_are(copied):
     assert all(len(curves["time"]) == 10_000 for curves in held.values())
     text = Page(path).text
     assert f"Zooming in shows every sample in {len(held)} of 20 of the long records" in text
-    assert "residuals.parquet in the run's folder has them all" in text
+    assert "residuals.parquet in the run's folder has all samples" in text
 
 
 @pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])

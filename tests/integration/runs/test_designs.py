@@ -70,7 +70,13 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
     assert "rival of coulomb at der(v)" in printed
     assert "assume that the models are exact" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
-    for text in ("What is fed in", "What is expected", "coulomb at der(v)", ">F (N)<", ">y (m)<"):
+    for text in (
+        "Input of the experiment",
+        "Predicted outputs",
+        "coulomb at der(v)",
+        ">F (N)<",
+        ">y (m)<",
+    ):
         assert text in page
     probabilities = rows(folder / "next", "probabilities")
     told = sum(each["after"] > max(0.9, each["before"]) for each in probabilities)
@@ -197,7 +203,7 @@ def test_an_input_that_moves_nothing_tells_nothing_apart(design, tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (limits_text('criterion = "discriminate"'), "must have at least two models to distinguish"),
+        (limits_text('criterion = "discriminate"'), "needs at least two models to distinguish"),
         (
             limits_text('waveforms = ["recorded"]', within=(50.0, 60.0), duration=[9.0, 9.0]),
             "waveforms: must leave an input to try",
@@ -210,7 +216,7 @@ def test_what_a_fit_cannot_be_designed_for_is_refused(spring, text, said):
 
 
 def test_no_result_is_refused():
-    with pytest.raises(ProblemError, match="result: must be what fit or close_loop returned"):
+    with pytest.raises(ProblemError, match="result: must be a result of fit or close_loop"):
         ce.design(3, read_text(LIMITS).limits)
 
 

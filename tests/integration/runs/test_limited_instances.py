@@ -143,7 +143,7 @@ def test_a_closed_loop_keeps_to_it(run, counted, tmp_path, executor):
     assert counted.most == 2
     assert counted.made < 20 < simulations(tmp_path)
     said = json.dumps(facts(tmp_path / "run"))
-    assert "a finer one fails" not in said, "the error of the solver was measured"
+    assert "finer solver setting fails" not in said, "the error of the solver was measured"
 
 
 @pytest.mark.parametrize(

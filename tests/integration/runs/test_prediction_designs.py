@@ -224,7 +224,7 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
 @pytest.mark.parametrize(
     ("block", "table", "sentence"),
     [
-        ('experiment = "exp7"', "", "experiment must be one of the run but is 'exp7'"),
+        ('experiment = "exp7"', "", "experiment must be an experiment of the run but is 'exp7'"),
         ('outputs = ["F"]', "", "outputs must be variables that the FMU computes, but 'F' is not"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
@@ -250,14 +250,14 @@ def test_what_cannot_be_predicted_is_refused_in_a_sentence(
 def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
     assert design("--predict", "exp9") == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "predictions: experiment must be one of the run but is 'exp9'" in said
+    assert "predictions: experiment must be an experiment of the run but is 'exp9'" in said
     assert not (tmp_path / "new.csv").exists()
 
 
 def test_another_criterion_has_nothing_to_predict(design, capsys):
     assert design("--predict", "exp4", text='criterion = "d"\n' + LIMITS) == 2
     assert '--predict: predictions: must be used with the criterion "v"' in capsys.readouterr().err
-    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*is with 'a'"):
+    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*criterion is 'a'"):
         read_text('criterion = "a"\n' + LIMITS + PREDICT)
     with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
         PredictionTarget(3)
@@ -273,5 +273,7 @@ def test_what_depends_on_nothing_estimated_is_refused(linear):
     [([planned(name="run")], "run"), ([planned(PLANNED), planned(0.5 * PLANNED)], "planned")],
 )
 def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
-    with pytest.raises(ProblemError, match=f"must have a unique name but '{name}' is used in"):
+    with pytest.raises(
+        ProblemError, match=f"must have a unique name but '{name}' is the name of another"
+    ):
         wide(linear[0], 10, *map(PredictionTarget, plans))

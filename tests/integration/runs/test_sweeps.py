@@ -122,7 +122,9 @@ def test_a_sweep_of_doubtful_fits_does_not_end_as_if_all_were_well(sweep):
     assert code == 1
     (row,) = rows(OUT, "summary")
     assert row["status"] == "done"
-    found = re.search("intervals are too narrow; the error of y is (.*) times its", row["doubts"])
+    found = re.search(
+        "intervals are too narrow, because the error of y is (.*) times its", row["doubts"]
+    )
     assert found is not None
     assert float(found[1]) == pytest.approx(row["rmse_train"] / NOISE, rel=0.2)
     assert row["doubts"] in " ".join(printed.split())

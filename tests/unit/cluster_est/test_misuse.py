@@ -161,7 +161,7 @@ REFUSED = [
     (ce.UncertaintySettings, {"bootstrap": -1}, "bootstrap: must be at least 0.*-1"),
     (ce.UncertaintySettings, {"confidence": 95}, "confidence: must be less than 1.*95"),
     (ce.UncertaintySettings, {"rise": np.nan}, "rise: must be a finite number"),
-    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list.*write .*one alone"),
+    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list.*write .*for a single value"),
     (ce.LoopSettings, {"max_effects": 1.5}, "max_effects: must be a whole number.*1.5"),
     (ce.LoopSettings, {"significance": 0}, "significance: must be greater than 0.*0"),
     (ce.LoopSettings, {"draws": 99}, "draws: must be at least 100.*99"),
@@ -169,7 +169,7 @@ REFUSED = [
     (
         ce.LoopSettings,
         {"without": ("restart",)},
-        "without: there is no part 'restart'; did you mean 'restarts'",
+        "without: the search has no part 'restart'; did you mean 'restarts'",
     ),
 ]
 WHERE = {ce.UncertaintySettings: "uncertainty.", ce.LoopSettings: "closed_loop."}
@@ -299,7 +299,7 @@ def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name
         assert ended.returncode == 0, ended.stderr
         return
     assert re.search(
-        rf"ImportError: cluster_est needs .*Python finds .*{re.escape(str(tmp_path / name))}"
-        " under that name first: rename it",
+        rf"ImportError: cluster_est needs .*Python first finds .*{re.escape(str(tmp_path / name))}"
+        " under that name: rename that file or folder",
         ended.stderr,
     ), ended.stderr

@@ -124,7 +124,7 @@ def test_the_result_of_a_loop_has_the_same_fields_and_tables(found):
     assert result.x == result.after.x
     assert result.jac.shape == (len(result.fun), len(result.after.solution.x))
     for shown in (html(result), str(result)):
-        assert f"Closed loop: {result.verdict}." in shown
+        assert f"Search for missing effects: {result.verdict}." in shown
         assert percent(result.effects[0].claim.probability) in shown
 
 
@@ -237,7 +237,7 @@ def test_commands_read_what_was_saved(result, tmp_path, capsys):
     assert main(["report", str(saved)]) == 0
     assert (saved / "report.html").stat().st_size > 10_000
     assert main(["export", str(saved), "--text"]) == 2
-    assert "was saved from Python and has no config" in capsys.readouterr().err
+    assert "was saved from Python without one" in capsys.readouterr().err
 
 
 def test_nothing_is_replaced_unless_asked(result, tmp_path):

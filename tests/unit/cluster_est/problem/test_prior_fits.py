@@ -150,7 +150,7 @@ def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
 
 def test_a_front_of_several_outputs_is_refused():
     space = Curves(line, PRIORS, TIMES, measured(2)).space()
-    with pytest.raises(ProblemError, match="a prior belongs to none of them"):
+    with pytest.raises(ProblemError, match="a prior belongs to neither"):
         SEARCH_METHODS["nsga2"]().check(space)
 
 

@@ -161,13 +161,13 @@ class TestFailures:
         assert 0 < used < 80
         assert result.failures == 80 - used
         assert result.failures == sum(np.isnan(draw.estimates[0]) for draw in result.draws)
-        assert f"{80 - used} of 80 draws have no refit" in result.sentences[0]
+        assert f"{80 - used} of 80 draws are not used" in result.sentences[0]
 
     def test_too_few_usable_draws_give_no_interval(self):
         result = run(levels(), SETTINGS.changed(bootstrap=10))
         assert np.isnan(result.intervals[0].lower)
         assert result.intervals[0].used == 10
-        assert "no interval of level, because fewer than 20 draws" in result.sentences[0]
+        assert "no interval for level, because fewer than 20 draws" in result.sentences[0]
 
     def test_refits_that_stop_early_are_counted(self):
         result = run(levels(), method=LeastSquares(max_iterations=0))

@@ -154,7 +154,7 @@ def test_walkers_without_a_density_end_at_once_and_say_so():
     found = drawn(levels(), steps=1000, runner=failing.runner())
     assert found.asked == 16
     (said,) = found.sentences
-    assert "no draws, because none of 16 walkers began at a point with a density" in said
+    assert "no draws, because none of the 16 walkers began at a point with a finite density" in said
 
 
 def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
