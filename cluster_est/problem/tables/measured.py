@@ -118,7 +118,7 @@ class MeasuredColumns:
                 + (
                     "check rows"
                     if self.rows
-                    else ("check that there are measurements below the header")
+                    else "check that there are measurements below the header"
                 )
             )
         check_times(times, f"{self.where}: {source}", lambda i: f"row {self._row(i)}")
