@@ -130,7 +130,7 @@ class UserCode:
             If there is no such function.
         """
         if not _NAMED.fullmatch(text):
-            raise ConfigError(f'{where}: must be "module:name" but is {text!r}')
+            raise ConfigError(f'{where}: must be "module:name", but is {text!r}')
         if not self.allowed:
             raise ConfigError(
                 f"{where}: {text!r} names Python code, which cluster-est runs only if it is "

@@ -98,7 +98,7 @@ class Parameter:
         per = str(self.per)
         if self.per is not None and not re.fullmatch("experiment|gap|group(:.+)?", per):
             raise ProblemError(
-                f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
+                f'{where}.per: must be "experiment" or "group:KEY", but is {self.per!r}'
             )
 
         if self.prior is not None:

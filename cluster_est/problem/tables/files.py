@@ -100,7 +100,9 @@ def _checked(given: Reading | Mapping[str, Any] | None, where: str) -> Reading:
         else:
             check_kind(value, str, at, DataError)
     if values.get("decimal", "") not in ("", ".", ","):
-        raise DataError(f'{where}.reading.decimal: must be "." or "," but is {values["decimal"]!r}')
+        raise DataError(
+            f'{where}.reading.decimal: must be "." or ",", but is {values["decimal"]!r}'
+        )
     return Reading(**values)
 
 

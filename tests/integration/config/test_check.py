@@ -96,12 +96,33 @@ def test_a_good_fmu(examined, name, fmi):
         ("reset_keeps_state", 2, "reset", "note", "0.035 of the outputs' size", "model.reset"),
         ("reset_crashes", 2, "reset", "note", "its process crashed (SIGSEGV)", "model.reset"),
         ("fails_to_reset", 2, "values", "note", "survive a reset", "model.reset"),
-        ("random_output", 2, "repeatable", "problem", "two fresh processes differ", "method.name"),
-        ("once_per_process", 2, "instances", "note", "and says so", "executor.name"),
-        ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
-        ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "data for the inputs"),
-        ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
+        (
+            "random_output",
+            2,
+            "repeatable",
+            "problem",
+            "two simulations in fresh processes differ",
+            "method.name",
+        ),
+        ("once_per_process", 2, "instances", "note", "as the FMU declares", "executor.name"),
+        (
+            "once_undeclared",
+            2,
+            "instances",
+            "note",
+            "although the FMU does not declare this",
+            "executor.name",
+        ),
+        ("shares_static", 2, "instances", "note", "give different results while", "executor.name"),
+        (
+            "dead_parameter",
+            2,
+            "dead parameters",
+            "note",
+            "depend on dead",
+            "if the inputs have data",
+        ),
+        ("wrong_directional", 2, "derivatives", "note", "differ from finite differences", "export"),
         ("zero_directional", 2, "derivatives", "note", "all of them are 0", "export"),
         ("needs_stop_time", 2, "stop time", "note", "only be initialised with", "model.stop_time"),
         pytest.param(
@@ -258,7 +279,7 @@ def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu, fmi):
     page = looked_at(replace(problem, experiments=(replace(run, stop=12.0),)))
     ended = line(page, "experiment default")
     assert "the FMU ended the simulation by itself at t = 9 s" in ended.found
-    assert ended.do == "a config whose experiment has a stop before that time"
+    assert ended.do == "a config with an experiment that stops before that time"
 
 
 def parameter(name, reference=0, variability="fixed", start=1):
@@ -435,10 +456,16 @@ def test_with_more_time_each_check_has_more(spring):
 @pytest.mark.parametrize(
     ("verdicts", "end"),
     [
-        (["not done"], "nothing was checked yet"),
-        (["not done", "ok"], "1 of 2 checks was not done; the others: no problem was found"),
-        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; the others: 1 problem"),
-        (["ok", "note"], "no problem was found; 1 note says what may be wrong"),
+        (["not done"], "nothing has been checked yet"),
+        (
+            ["not done", "ok"],
+            "1 of 2 checks was not done; result of the others: no problem was found",
+        ),
+        (
+            ["not done"] * 2 + ["problem"],
+            "2 of 3 checks were not done; result of the others: 1 problem",
+        ),
+        (["ok", "note"], "no problem was found; read the 1 note too"),
     ],
 )
 def test_the_last_line_counts_what_was_done(capsys, verdicts, end):

@@ -118,7 +118,7 @@ def closed_pipe() -> int:
 def test_standard_output_that_is_full_is_said(whole: Path) -> None:
     code, said = command(os.open("/dev/full", os.O_WRONLY), "show", str(whole))
     assert code == 2
-    assert said.startswith("cluster-est: standard output: must be written but cannot be")
+    assert said.startswith("cluster-est: standard output: cannot be written")
     assert said.count("\n") == 1
 
 

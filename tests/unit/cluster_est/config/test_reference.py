@@ -125,7 +125,7 @@ def test_python_and_a_config_refuse_with_the_same_sentence(settings, given):
 def test_settings_take_each_key_once_and_another_name_of_it_in_python_alone():
     for given, named in (((1, 2.0, 3), {}), ((1,), {"evaluations": 2})):
         with pytest.raises(
-            ProblemError, match="budget: each of evaluations, seconds must be given once"
+            ProblemError, match="budget: each of evaluations, seconds must be given at most once"
         ):
             Budget(*given, **named)
     assert LoopSettings(forms=["bias"]).changed(forms=["lag"]) == LoopSettings(effects=["lag"])
