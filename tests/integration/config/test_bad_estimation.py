@@ -96,7 +96,7 @@ SIGNALS = [
     (on_y(upper=[[0]]), r"\[0\].upper\[0\]: .*two numbers.*\[0\]"),
     (on_y(upper=10**400), r"\[0\].upper: .*finite number.*1000"),
     (on_y(upper=[[1, 0], [0, 1]]), r"\[0\].upper: .*times must not decrease.*sort"),
-    (on_y(upper=[[7, 1], [8, 1]]), r"\[0\].upper: .*limit the signal.*0 to 0.3 s"),
+    (on_y(upper=[[7, 1], [8, 1]]), r"\[0\].upper: .*limit the signal.*0 and 0.3 s"),
     (on_y(upper=1, lower=2), r"\[0\].lower: .*not be above upper.*0 s.*swap them"),
     (on_y(lower=[[0, 0], [0.3, 3]], upper=2), r"\[0\].lower: .*not be above upper.*at 0.2"),
     (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap the simulation.*0 to 0.3.*\[5.0, 6"),

@@ -106,7 +106,7 @@ def test_a_value_of_the_command_line_is_in_no_line(refuse):
         (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="1.0"'}), "or 3.0, but is of 1.0"),
         (
             spoiled_fmu(rename("binaries/linux64", "binaries/linux32")),
-            r"a binary for this machine's platform \(linux64\) but has one for darwin64",
+            r"a binary for this machine's platform \(linux64\), but has one for darwin64",
         ),
         (spoiled_fmu(lambda e: e.pop(LIBRARY)), "x.fmu: "),
         (

@@ -160,7 +160,7 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined, fmi):
     refused = next(each for each in page.findings if "refuses" in each.found)
     assert refused.verdict == "note"
     assert refused.found.startswith("limit: ")
-    assert "1 of 1 affect the outputs" in line(page, "parameters").found
+    assert "1 of 1 parameters affect the outputs" in line(page, "parameters").found
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_a_config_whose_parameter_is_dead(own_fmu, tmp_path, capsys):
     assert main(["check", str(write_input(tmp_path, changes)), "--seconds", "60"]) == 1
     said = capsys.readouterr().out
     assert "parameter dead" in said
-    assert "1 of 2 affect the outputs" in said
+    assert "1 of 2 parameters affect the outputs" in said
 
 
 def test_an_experiment_at_rest_tells_nothing(capsys):
@@ -243,7 +243,7 @@ def test_an_experiment_at_rest_tells_nothing(capsys):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0
     said = capsys.readouterr().out
-    assert "3 of 3 affect the outputs" in said
+    assert "3 of 3 parameters affect the outputs" in said
     assert "y changes by 0 of its size" not in said
 
 

@@ -123,7 +123,7 @@ def rounded(sigma):
             pytest.param(
                 run(TRUTH | {"t": TIMES * factor}),
                 "time",
-                f"seems to be in {unit}, and is read as {2.0 * factor:.4g} s",
+                f"seem to be in {unit}, but are read as seconds.* {2.0 * factor:.4g} s",
                 f"columns.COLUMN = {{ factor = {1.0 / factor:g} }}, .* sample_time",
                 marks=marks,
             )
@@ -178,13 +178,13 @@ def rounded(sigma):
         (
             run(TRUTH | {"w": TRUTH["w"] + spikes(40.0)}, inputs=HELD),
             "output speed",
-            "2 of 401 samples are far from all their neighbours",
+            "2 of 401 samples are far from both of their neighbours",
             'if they are faults.*reduce their weight.*cost.name = "huber", .*sigma.speed',
         ),
         (
             rounded(0.01),
             "output speed",
-            "multiples of 0.25.*an error of 0.0722, 7.2 times the given sigma",
+            "multiples of 0.25.*an error of 0.0722, which is 7.2 times the given sigma",
             "0.0722 or more",
         ),
         (

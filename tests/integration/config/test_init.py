@@ -565,8 +565,8 @@ class TestMistakes:
             ([str(FMU), "text.csv"], "text.csv .*columns of numbers.*none"),
             ([str(FMU), "a.csv", "./a.csv"], "a.csv .*named once.*2 times"),
             ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* exists already"),
-            ([str(FMU), "a.csv", "--out", "."], "a file but is a folder"),
-            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "must be written but cannot be"),
+            ([str(FMU), "a.csv", "--out", "."], "a file, but is a folder"),
+            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "cannot be written"),
         ],
     )
     def test_each_is_a_sentence(self, refused, arguments, pattern):

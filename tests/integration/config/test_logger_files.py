@@ -187,7 +187,7 @@ def test_what_was_found_out_is_said_by_check(tmp_path, monkeypatch, capsys):
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
     assert main(["check", "first.toml"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "reading a: its text is not UTF-8 and is read as cp1252, a guess" in said
+    assert "reading a: its text is not UTF-8 and is read as cp1252, which is a guess" in said
     assert "its header is in row 2" in said
 
 

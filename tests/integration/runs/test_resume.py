@@ -286,7 +286,7 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
         ("method.options.trials=2", "method.options.trials was not there and is 2"),
         ("close-loop", "started by another command"),
         ("numpy", "numpy was 0.1 and is "),
-        ("python", "python was 2.7.1 and is "),
+        ("python", "python was 2.7.1 then and is "),
         ("fmu", "the FMU mass_spring_damper.fmu had other contents"),
         ("exp2", "the data of experiment 'exp2' were different"),
         ("format", "its format is 1, and this version of cluster-est writes 2"),

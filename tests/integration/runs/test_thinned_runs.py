@@ -36,7 +36,7 @@ def loop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_loop_on_thinned_records_reports_on_all_rows(loop):
-    assert any(note.startswith("long records are thinned to") for note in facts(loop)["notes"])
+    assert any(note.startswith("long records are thinned from") for note in facts(loop)["notes"])
     assert {row["samples"] for row in rows_of(loop, "errors")} == {SAMPLES}
 
 
@@ -69,7 +69,7 @@ def test_the_next_experiment_is_designed_after_it(loop, tmp_path):
 def test_a_sensitivity_analysis_is_done_and_replayed_on_thinned_records(tmp_path, capfd):
     out = tmp_path / "run"
     assert run("sensitivity", out) == 0
-    assert "long records are thinned to" in capfd.readouterr().err
+    assert "long records are thinned from" in capfd.readouterr().err
     assert main(["replay", str(out), "0"]) == 0
     assert "residuals agree with the logged ones bit for bit" in capfd.readouterr().out
 
@@ -77,8 +77,8 @@ def test_a_sensitivity_analysis_is_done_and_replayed_on_thinned_records(tmp_path
 @pytest.mark.parametrize(
     ("rows", "expected"),
     [
-        (100, "for a fit and other steps long records are thinned to 78 to"),
-        ('"auto"', "for close-loop, sensitivity and design long records are thinned to"),
+        (100, "for a fit and other steps long records are thinned from 78 to"),
+        ('"auto"', "for close-loop, sensitivity and design long records are thinned from"),
         ('"no"', ""),
     ],
 )

@@ -74,7 +74,11 @@ def of_residuals(at=None, **given):
 REFUSED = [
     (ce.Parameter, {"start": np.nan}, "m.start: must be a finite number.*nan"),
     (ce.Parameter, {"start": "1"}, "m.start: must be a number.*'1'"),
-    (ce.Parameter, {"start": 10**400}, "m.start: must be a finite number of a usual size.*1000"),
+    (
+        ce.Parameter,
+        {"start": 10**400},
+        "m.start: must be a finite number that fits into a double.*1000",
+    ),
     (ce.Parameter, {"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
     (ce.Parameter, {"bounds": (2.0, 0.5)}, "m.bounds: the lower bound must be below"),
     (ce.Parameter, {"bounds": (None, 1.0)}, "m.bounds: lower must be a number, or infinite.*None"),
@@ -104,7 +108,7 @@ REFUSED = [
         {"model": replace(MODEL, parameters=("k",))},
         "parameters: must be the parameters of the model",
     ),
-    (ce.Problem, {"cost": 3}, 'problem.cost: must be a Cost.*3; give one.*"huber"'),
+    (ce.Problem, {"cost": 3}, 'problem.cost: must be a Cost.*3; give a cost.*"huber"'),
     (ce.Problem, {"cost": COSTS["huber"]}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
     (ce.fit, {"method": "leastsquares"}, "method.name.*'leastsquares'.*did you mean 'least_sq"),
     (ce.fit, {"method": ce.LeastSquares}, "method: must be a Method.*class.*call it"),
@@ -157,7 +161,7 @@ REFUSED = [
     (
         ce.UncertaintySettings,
         {"profiles": 3},
-        "profiles: must be a list but is 3",
+        "profiles: must be a list, but is 3",
     ),
     (ce.UncertaintySettings, {"at_once": 0}, "at_once: must be greater than 0.*0"),
     (ce.UncertaintySettings, {"steps": 0}, "steps: must be greater than 0.*0"),
@@ -165,7 +169,7 @@ REFUSED = [
     (ce.UncertaintySettings, {"bootstrap": -1}, "bootstrap: must be at least 0.*-1"),
     (ce.UncertaintySettings, {"confidence": 95}, "confidence: must be less than 1.*95"),
     (ce.UncertaintySettings, {"rise": np.nan}, "rise: must be a finite number"),
-    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list.*write .*a single one"),
+    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list.*write .*a single value"),
     (ce.LoopSettings, {"max_effects": 1.5}, "max_effects: must be a whole number.*1.5"),
     (ce.LoopSettings, {"significance": 0}, "significance: must be greater than 0.*0"),
     (ce.LoopSettings, {"draws": 99}, "draws: must be at least 100.*99"),
@@ -220,7 +224,7 @@ def test_an_argument_that_cannot_be_is_refused_in_a_sentence(use, given, said):
         ({"outputs": (ce.Output("F", T, T),)}, "must be a variable that mass_spring"),
         ({"outputs": (ce.Output("k", T, T),)}, "its causality is 'parameter'"),
         ({"values": {"k": "x"}}, "must be a number, because the variable is of type real"),
-        ({"values": {"F": 1.0}}, "must not be an input of the same experiment"),
+        ({"values": {"F": 1.0}}, "must not also be an input of the same experiment"),
     ],
 )
 @pytest.mark.parametrize("use", [ce.fit, ce.simulate, ce.residuals])

@@ -98,7 +98,7 @@ def test_it_is_written_as_module_and_name(function, text):
         ("mine:cost", "import no_such_module\n", "mine:cost: .*No module named 'no_such_module'"),
         ("mine:cost", "def other(run):\n    return 1\n", "mine:cost: .*AttributeError.*cost"),
         ("mine:cost", "cost = 3.0\n", "mine:cost: must be a function, but is a float"),
-        ("mine:cost", b"\xff\xfe\x00", "cost.function: .*mine.py cannot be read.*correct it"),
+        ("mine:cost", b"\xff\xfe\x00", "cost.function: .*mine.py cannot be read.*correct the path"),
         ("no_such_module:cost", "", "no_such_module:cost: must be a function that can"),
         ("math:no_such", "", "math:no_such: must be a function that can"),
         ("os.no_such:cost", "", "os.no_such:cost: must be a function that can"),

@@ -61,7 +61,7 @@ def test_a_known_value_of_the_config_wins(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "pattern"),
     [
-        ("set.csv", "name,value,unit\nm,1750,g\n", "m must be in 'kg'.* but is in 'g'"),
+        ("set.csv", "name,value,unit\nm,1750,g\n", "m must be in 'kg'.*, but is in 'g'"),
         ("set.csv", "nam,value\nm,1\n", "columns name and value, but has nam, value"),
         ("set.csv", "name;value\nm;1,5\n", "set.csv: m must be a number, because"),
         ("set.csv", "name,value\nzz,1\n", "'zz'"),
@@ -89,7 +89,7 @@ def test_a_list_of_files_that_is_wrong(tmp_path, listed, pattern):
 
 
 def test_a_config_in_memory_has_no_folder():
-    with pytest.raises(ConfigError, match="is only for a config file"):
+    with pytest.raises(ConfigError, match="is only possible in a config file"):
         parse_config({"value_files": ["a.ssv"]}, "here")
 
 

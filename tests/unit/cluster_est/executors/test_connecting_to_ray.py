@@ -124,7 +124,10 @@ OWN = {"ray_version": ray.__version__, "python_version": platform.python_version
     [
         ({"failed": "AuthenticationError", "why": ""}, "needs its token"),
         ({"failed": "RpcError", "why": ""}, "does not answer like the head of a Ray cluster"),
-        ({"is": OWN | {"ray_version": "1.0.0"}}, "has Ray 1.0.0.*install ray==1.0.0 here"),
+        (
+            {"is": OWN | {"ray_version": "1.0.0"}},
+            "has Ray 1.0.0.*install ray==1.0.0 on this machine",
+        ),
         ({"is": OWN | {"python_version": "3.1.4"}}, "runs Python 3.1.4.*the same Python"),
         ({"is": OWN}, ""),
         ({"is": OWN, "nodes": {}}, "answers, but none of its nodes is alive"),

@@ -114,7 +114,7 @@ def test_a_function_that_fails_is_named(problem):
 def test_what_cannot_leave_the_process_is_refused(problem):
     lock = threading.Lock()
     with pytest.raises(
-        DataError, match=r"'e0'.cost_function: .*contains an object.*lock.*create it"
+        DataError, match=r"'e0'.cost_function: .*contains an object.*lock.*create that object"
     ):
         replace(problem.experiments[0], cost_function=lambda run: lock)
     with pytest.raises(DataError, match=r"cost_function: must be a UserFunction.*3"):

@@ -311,7 +311,7 @@ def test_init_says_where_rows_are_missing(tmp_path):
     rows = [f"{t!r},{float(np.sin(t))!r}" for t in TIMES[~HOLE].tolist()]
     file.write_text("\n".join(["time,y", *rows]))
     (said,) = read_columns(file).notes
-    assert said.startswith("no rows between 2 and 3 of 'time'; gaps")
+    assert said.startswith("no rows between 2 and 3 of 'time'; set gaps")
 
 
 @pytest.mark.parametrize(

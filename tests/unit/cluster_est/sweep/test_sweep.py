@@ -120,8 +120,11 @@ def test_wrong_overrides_are_refused(tmp_path, overrides, phrase):
         ({"axes": [SEEDS | {"values": [*range(10_001)]}]}, "at most 10000 runs, but make 10001"),
         ({"overrides": {"method": {"seed": 1}}}, 'must be in quotes; write "method.seed" = '),
         ({"overrides": {"only_experiments": "a"}}, "must be a list of ids of experiments"),
-        ({"axes": [SEEDS], "skip": [{"sed": 1}]}, "skip[0].sed: there is no such axis; did you"),
-        ({"axes": [SEEDS], "skip": [{"seed": 7}]}, "skip[0].seed: there is no '7'"),
+        (
+            {"axes": [SEEDS], "skip": [{"sed": 1}]},
+            "skip[0].sed: there is no axis of that name; did you",
+        ),
+        ({"axes": [SEEDS], "skip": [{"seed": 7}]}, "skip[0].seed: the axis has no value '7'"),
         (
             {"axes": [SEEDS], "skip": [{"seed": [0, 1]}]},
             "must leave at least one run, but leaves none",

@@ -109,7 +109,7 @@ def test_a_platform_without_a_library_is_told_what_to_do(monkeypatch, no_compile
         build.built()
     said = str(caught.value)
     assert said.startswith(f"{build.BINARIES}: must have the library core of this version for")
-    assert f"for {name} but has it for aarch64-linux, and there is no C compiler" in said
+    assert f"for {name}, but has it for aarch64-linux, and there is no C compiler" in said
     assert "Install gcc (Debian: apt install gcc; Alpine: apk add gcc musl-dev)" in said
     assert said.endswith(
         "wheels of cluster-est contain the library for " + ", ".join(build.PLATFORMS)
@@ -151,7 +151,7 @@ def test_without_zig_there_is_none_for_another_platform(monkeypatch, no_compiler
     on(monkeypatch, "linux", "x86_64")
     with pytest.raises(ModelError, match=r"for x86_64-windows but .* the package ziglang to build"):
         build.library("core", "x86_64-windows")
-    with pytest.raises(ModelError, match="for x86_64-freebsd but has it for no platform; wheels"):
+    with pytest.raises(ModelError, match="for x86_64-freebsd, but has it for no platform; wheels"):
         build.library("core", "x86_64-freebsd")
     with pytest.raises(ModelError, match="for x86_64-windows but"):
         build.compile_for("x86_64-windows", Path("core.dll"))

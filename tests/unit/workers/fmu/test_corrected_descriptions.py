@@ -161,7 +161,9 @@ def test_states_that_cannot_be_named_leave_co_simulation(structure, why):
     found = fmi2(SPRING, structure)
     assert found.interfaces == ("co_simulation",)
     (warning,) = found.warnings
-    assert re.search(rf"^x.fmu: .*model exchange cannot be used.*{why}.*left out", warning)
+    assert re.search(
+        rf"^x.fmu: .*model exchange interface cannot be used.*{why}.*left out", warning
+    )
     with pytest.raises(ModelError, match="must describe a usable interface, but model"):
         fmi2(SPRING, structure, interfaces='<ModelExchange modelIdentifier="m"/>')
 
@@ -174,7 +176,7 @@ def test_states_that_cannot_be_named_leave_co_simulation(structure, why):
          "model exchange interface has the modelIdentifier None, which is not a plain name, and is "
          "left out"),
         ({'completedIntegratorStepNotNeeded="true"': 'needsExecutionTool="true"'}, 2,
-         "model exchange needs cluster-est build_fmus on this machine"),
+         "model exchange interface needs cluster-est build_fmus on this machine"),
     ],
 )  # fmt: skip
 def test_an_interface_with_a_fault_is_named_and_left_out_if_it_must_be(change, left, said):

@@ -220,7 +220,9 @@ def test_model_exchange_needs_a_structure_that_holds(structure, why):
     found = fmi3(SPRING, structure)
     assert found.interfaces == ("co_simulation",)
     (warning,) = found.warnings
-    assert re.search(rf"^x.fmu: .*model exchange cannot be used.*{why}.*left out", warning)
+    assert re.search(
+        rf"^x.fmu: .*model exchange interface cannot be used.*{why}.*left out", warning
+    )
     with pytest.raises(ModelError, match=f"cannot be used.*{why}.*; export it again"):
         fmi3(SPRING, structure, interfaces='<ModelExchange modelIdentifier="m"/>')
 
@@ -239,7 +241,7 @@ def test_later_versions_are_read(version, warning):
     ("version", "interface", "said"),
     [
         ("3.0-beta.2", "CoSimulation", r"version 2.0 or 3.0, but is of 3.0-beta.2; export it in"),
-        ("3.0", "ScheduledExecution", "offers scheduled execution alone; export it with one"),
+        ("3.0", "ScheduledExecution", "offers only scheduled execution; export it with one"),
     ],
 )
 def test_what_no_program_of_today_makes_is_refused(version, interface, said):

@@ -264,8 +264,8 @@ def test_a_column_has_times_of_its_own_where_they_are_named():
         ({"skip_rows": -1}, "reading.skip_rows: must be"),
         ({"skip_rows": 99}, "must have more lines than skip_rows, 99"),
         ({"decimal": "'"}, 'reading.decimal: must be "." or ","'),
-        ({"long": ["a"]}, "reading.long: must be .names, values."),
-        ({"sheet": "A"}, "sheet: must be left out, because .* is a csv file"),
+        ({"long": ["a"]}, "reading.long: must be the names of two columns"),
+        ({"sheet": "A"}, "sheet: must be left out, because .* a csv file"),
         (3, "reading"),
     ],
 )
