@@ -15,8 +15,8 @@ from workers.effects.kinds import SiteKind
 from workers.fmu.description import nearest
 
 CODES_IN_WORDS = (
-    "0 done; 1 done, but no solution was reached; 2 bad input; 3 a criterion of --fail-if is met; 130 "
-    "interrupted"
+    "0 done; 1 done, but no solution was reached; 2 bad input; 3 a criterion of --fail-if is "
+    "met; 130 interrupted"
 )
 FIRST_EXAMPLES = (
     "init model.fmu monday.csv tuesday.csv --out first.toml",

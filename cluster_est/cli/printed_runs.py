@@ -29,7 +29,7 @@ def print_design(answer: Answer, run: StoredRun) -> None:
     "prediction_precision".
     """
     facts = run.facts
-    answer.tell(f"the next experiment: {facts['design']['summary']}")
+    answer.tell(f"next experiment: {facts['design']['summary']}")
     answer.say(
         f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",

@@ -151,8 +151,8 @@ def test_both_versions_name_this_machine_in_their_own_words():
         (("binaries/other/m.so",), f"but has one for other; export it for {PLATFORM}"),
         (
             ("binaries/linux32/m.so", "binaries/win32/m.dll"),
-            "but has one for linux32, win32 (linux32 and win32: built for 32 bits, which a 64-bit program "
-            "cannot load); export it for",
+            "but has one for linux32, win32 (linux32 and win32: built for 32 bits, which a 64-bit "
+            "program cannot load); export it for",
         ),
         (("sources/m.c",), "but has only sources; compile them, for example with the command"),
         (("sources/m.c", "binaries/other/m.so"), ", or compile its sources"),

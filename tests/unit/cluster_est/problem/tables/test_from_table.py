@@ -105,7 +105,7 @@ REFUSED = [
     ({"sample_time": 1.0}, "either time .*or sample_time .*both"),
     ({"sigma": {"q": 1.0}}, "sigma.q: .*one of the outputs"),
     ({"sigma": 0.0}, "sigma.y: .*greater than 0.*0"),
-    ({"sigma": 10**400}, "sigma.y: .*a finite number of a usual size.*1000"),
+    ({"sigma": 10**400}, "sigma.y: .*a finite number that fits into a double.*1000"),
     ({"relative_sigma": 0.1}, "relative_sigma.y: .*given with sigma.y"),
     ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: .*at least 0.*-0.1"),
     ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: .*one of the outputs"),
