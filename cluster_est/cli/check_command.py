@@ -150,10 +150,7 @@ def check(options: Namespace, answer: Answer) -> int:
     declared = [
         *sigma_findings(config, problem.describe()),
         *unit_findings(config, problem.describe(), problem.tables),
-        *(
-            passed("for a fit and other steps, {each}", f"for a fit and other steps {each}")
-            for each in run.notes
-        ),
+        *(passed("long records", f"for a fit and other steps, {each}") for each in run.notes),
         *long_records(config, problem),
     ]
     page = replace(page, findings=(*page.findings, *declared))

@@ -62,7 +62,7 @@ COMMON_FIELDS = (
     DocumentField("command", "text", "name of the command"),
     DocumentField("version", "text", "version of cluster-est; null if it is not installed"),
     DocumentField("status", "text", "the exit code in words", _statuses),
-    DocumentField("exit_code", "exit code of the process", "of the process"),
+    DocumentField("exit_code", "whole number", "exit code of the process"),
     DocumentField(
         "message", "text", "reason why the command has no result; empty if it has a result"
     ),
@@ -100,16 +100,10 @@ _OF_RUN = (
     DocumentField("doubts", "list", "doubts about the result, in a few words each"),
     DocumentField("too_narrow", "true or false", "whether the intervals are too narrow"),
     DocumentField("notes", "list", "sentences on the result"),
-    DocumentField("iterations", "number of iterations of the best search", "of the best search"),
-    DocumentField(
-        "evaluations", "number of points that were evaluated", "points that were evaluated"
-    ),
-    DocumentField(
-        "simulations",
-        "number of experiments that were simulated",
-        "experiments that were simulated",
-    ),
-    DocumentField("failures", "number of simulations that failed", "simulations that failed"),
+    DocumentField("iterations", "whole number", "number of iterations of the best search"),
+    DocumentField("evaluations", "whole number", "number of points that were evaluated"),
+    DocumentField("simulations", "whole number", "number of experiments that were simulated"),
+    DocumentField("failures", "whole number", "number of simulations that failed"),
     DocumentField("seconds", "number", "duration of the run"),
     DocumentField("parameters", "object", "rows of parameters.parquet, by label"),
     DocumentField(
@@ -119,7 +113,7 @@ _OF_RUN = (
     ),
     DocumentField("facts", "object", "contents of run.json"),
 )
-_WRITTEN = DocumentField("out", "text", "file that was written")
+_WRITTEN = DocumentField("out", "text", "path that was written")
 
 FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "init": (
@@ -132,21 +126,11 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "check": (
         DocumentField("model", "object", "the model: `name`, `interface` and `solver`"),
         DocumentField("checks", "list", "each check: `verdict`, `check`, `found` and `do`"),
+        DocumentField("problems", "whole number", "number of checks with the verdict problem"),
+        DocumentField("check_notes", "whole number", "number of checks with the verdict note"),
+        DocumentField("not_done", "whole number", "number of checks that were not done"),
         DocumentField(
-            "problems",
-            "number of checks with the verdict problem",
-            "checks with the verdict problem",
-        ),
-        DocumentField(
-            "check_notes", "number of checks with the verdict note", "checks with the verdict note"
-        ),
-        DocumentField(
-            "not_done", "number of checks that were not done", "checks that were not done"
-        ),
-        DocumentField(
-            "unknowns",
-            "number of unknowns of a fit to the training experiments",
-            "number of simulations of a fit of the training experiments",
+            "unknowns", "whole number", "number of unknowns of a fit to the training experiments"
         ),
         DocumentField(
             "experiments",
@@ -190,17 +174,11 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
         DocumentField("run_status", "text", "status of the run", _run_statuses),
         DocumentField("doing", "text", "what the run is doing"),
         DocumentField("seconds", "number", "seconds since the run began"),
-        DocumentField(
-            "evaluations", "number of points that were evaluated", "points that were evaluated"
-        ),
-        DocumentField(
-            "simulations",
-            "number of experiments that were simulated",
-            "experiments that were simulated",
-        ),
-        DocumentField("failures", "number of simulations that failed", "simulations that failed"),
-        DocumentField("workers", "number of workers of the run", "that the run has"),
-        DocumentField("busy", "number of workers that are simulating", "workers that simulate"),
+        DocumentField("evaluations", "whole number", "number of points that were evaluated"),
+        DocumentField("simulations", "whole number", "number of experiments that were simulated"),
+        DocumentField("failures", "whole number", "number of simulations that failed"),
+        DocumentField("workers", "whole number", "number of workers of the run"),
+        DocumentField("busy", "whole number", "number of workers that are simulating"),
         DocumentField(
             "searches",
             "list",
@@ -211,9 +189,7 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "export": (DocumentField("files", "list", "files that were written"),),
     "sweep": (
         _WRITTEN,
-        DocumentField(
-            "ran", "number of runs that this call has done", "runs that this call has done"
-        ),
+        DocumentField("ran", "whole number", "number of runs that this call has done"),
         DocumentField("runs", "list", "rows of summary.parquet"),
         DocumentField("counts", "object", "number of runs for each status"),
         DocumentField("verdicts", "object", "number of close-loop runs for each verdict"),

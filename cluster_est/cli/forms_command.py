@@ -49,8 +49,8 @@ def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
         before = {"parameter": "s times 1 plus ", "derivative": "", "pair": ""}
         return (
             f"{before.get(kind, 's plus ')}a curve of {'v' if form.variables else 's'}: straight "
-            f"lines between values at {form.values} equally spaced points from low to high, 0 at "
-            "those without a coefficient",
+            f"lines between values at {form.values} equally spaced points from low to high; "
+            "a value without a coefficient is 0",
         )
     if form.memory:
         return (f"{form.memory}(s, {form.coefficients[0].name})",)

@@ -458,7 +458,7 @@ def _add_forms(commands: Commands) -> None:
     summary = "list the forms of effects, with their sites and coefficients"
     forms = _command(commands, "forms", summary)
     forms.add_argument(
-        "form", metavar="FORM", nargs="?", help="form to describe, with a block for a config"
+        "form", metavar="FORM", nargs="?", help="describe this form, and print a block for a config"
     )
     forms.add_argument(
         "--site",

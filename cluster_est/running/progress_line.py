@@ -43,7 +43,7 @@ SEARCH_TITLES = {
     "candidate": "refitting candidates",
     "enlarged": "simulating with larger inputs",
     "return": "fitting the declared model again",
-    "refitting from other start points": "refitting from other starts",
+    "other starts": "refitting from other start points",
     "swap": "revising the effects",
     "drop": "revising the effects",
     "final": "the final fits",

@@ -178,7 +178,7 @@ def _bounded(value: Any) -> Any:
         and abs(value.evalf()) > LARGEST_FUNCTION_VALUE
     ):
         raise OverflowError(
-            f"the size of a number must be at most {LARGEST_FUNCTION_VALUE:g}, but one is larger"
+            f"a number must be at most {LARGEST_FUNCTION_VALUE:g} in magnitude, but one is larger"
         )
     return value
 

@@ -131,7 +131,7 @@ def test_a_good_fmu(examined, name, fmi):
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
         ("crashes_at_start", 2, "experiment default", "problem", "crash: ", ""),
-        ("hangs_at_start", 2, "experiment default", "problem", "did not end within", ""),
+        ("hangs_at_start", 2, "experiment default", "problem", "no answer within", ""),
     ],
 )
 def test_what_is_wrong_is_named(examined, name, fmi, check, verdict, found, do):
