@@ -299,12 +299,12 @@ def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
         default = ConstraintSection.model_fields[key].get_default(call_default_factory=True)
         if key not in ("name", kind, *_KEYS[kind]) and value != default:
             raise ConfigError(
-                f"{where}.{key}: must not be given with {kind}, because it has no meaning there; "
+                f"{where}.{key}: must be left out with {kind}, because it has no meaning there; "
                 "remove one of the two"
             )
     for key, other, fits in (("tolerance", "final", True), ("between", "final", False)):
         if getattr(section, key) and (section.final is not None) is not fits:
-            word = "given only with" if fits else "left out with"
+            word = "used with" if fits else "left out with"
             raise ConfigError(f"{where}.{key}: must be {word} {other}; change one of the two")
 
 

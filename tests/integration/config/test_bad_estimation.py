@@ -87,9 +87,9 @@ KINDS = [
 ]
 SIGNALS = [
     (constraint(signal="q", upper=1.0), r"\[0\].signal.*no variable 'q'.*'x', 'v'"),
-    (constraint(signal="m", upper=1.0), "causality 'parameter'.*choose an output"),
-    (constraint(signal="F", upper=1.0), "causality 'input'.*choose an output"),
-    (on_y(), r"\[0\].signal: .*a limit.*none; add lower, upper"),
+    (constraint(signal="m", upper=1.0), "causality is 'parameter'.*choose an output"),
+    (constraint(signal="F", upper=1.0), "causality is 'input'.*choose an output"),
+    (on_y(), r"\[0\].signal: .*a limit.*none; add one of lower, upper"),
     (on_y(name="box"), r"constraints\[box\].signal: .*a limit"),
     (on_y(uper=1.0), r"unknown key constraints\[0\].uper.*'upper'"),
     (on_y(upper="high"), r"\[0\].upper: .*finite number or \[\[time, value\], ...\].*'high'"),
@@ -102,7 +102,7 @@ SIGNALS = [
     (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap the simulation.*0 to 0.3.*\[5.0, 6"),
     (on_y(upper=1, between=[4, 3]), r"\[0\].between: .*\[from, to\].*\[4.0, 3.0\]"),
     (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out with final"),
-    (on_y(upper=1, experiments=["b"]), r"\[0\].experiments: .*no 'b'.*'a'"),
+    (on_y(upper=1, experiments=["b"]), r"\[0\].experiments: .*no entry 'b'.*'a'"),
     (on_y(upper=1, equality=True), r"\[0\].equality: .*left out"),
     (on_y(upper=1, samples=1), r"\[0\].samples: .*greater than 1.*1"),
     (on_y(upper=1, samples=2**62), r"\[0\].samples: .*at most 1e\+07.*46"),

@@ -97,7 +97,7 @@ def test_a_value_of_the_command_line_is_in_no_line(refuse):
     [
         (b"", "x.fmu: must be an FMU, which is a zip file, but is not"),
         (spoiled_fmu()[:9000], "must be an FMU, which is a zip file, but is not"),
-        (spoiled_fmu(lambda e: e.pop(XML)), "must hold a modelDescription.xml"),
+        (spoiled_fmu(lambda e: e.pop(XML)), "must contain a modelDescription.xml"),
         (spoiled_fmu(lambda e: e.update({"../x": b""})), "the path '../x' in it must stay"),
         (
             spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="3.0"'}),

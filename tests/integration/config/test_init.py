@@ -212,7 +212,7 @@ class TestColumnsThatAreGiven:
         [
             (["F=Voltage"], r"map F: a.csv has no column 'Voltage'.*'Voltage \(V\)'.*'time'"),
             (["f=Voltage (V)"], "map f: .*no variable 'f'.*'F'"),
-            (["m=y"], "map m: .*an input of mass_spring_damper.fmu or a computed variable"),
+            (["m=y"], "map m: .*an input or a computed variable of mass_spring_damper.fmu"),
             (["F"], "map: .*VARIABLE=COLUMN.*'F'; write it as in --map u='Voltage"),
             (["F=y", "F=time"], "map: F .*one column.*'y' and 'time'"),
             (["F=words"], "map F: column 'words' of a.csv .*numbers"),
