@@ -106,7 +106,7 @@ REFUSED = [
     ({"sigma": {"q": 1.0}}, "sigma.q: .*one of the outputs"),
     ({"sigma": 0.0}, "sigma.y: .*greater than 0.*0"),
     ({"sigma": 10**400}, "sigma.y: .*a finite number that fits into a double.*1000"),
-    ({"relative_sigma": 0.1}, "relative_sigma.y: .*given with sigma.y"),
+    ({"relative_sigma": 0.1}, "relative_sigma.y: .*given together with sigma.y"),
     ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: .*at least 0.*-0.1"),
     ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: .*one of the outputs"),
     ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr.*did you mean"),
