@@ -91,7 +91,7 @@ def test_more_workers_are_proposed_once_where_they_would_help():
         ]
 
     (sentence,) = said(1, 30, 8)
-    assert "1 of this machine's 8 cores simulates while 30 simulations wait" in sentence
+    assert "1 of this machine's 8 cores simulates, while 30 simulations wait" in sentence
     assert "faster with executor.workers=8" in sentence
     (sentence,) = said(1, 30, 8, 3)
     assert "1 of this machine's 8 cores simulates" in sentence

@@ -314,7 +314,7 @@ def test_what_is_damaged_is_not_given_and_the_rest_is(
             lost = IN_A_BATCH if reader.schema is not None else ROWS
             assert len(found) + reader.lost == ROWS or reader.lost == 0
             assert len(found) >= ROWS - lost
-        with pytest.raises(RunFolderError, match=r"00000.arrows: is damaged.*--resume"):
+        with pytest.raises(RunFolderError, match=r"00000.arrows: the file is damaged.*--resume"):
             read_log(tmp_path, ended=True)
         with pytest.raises(RunFolderError, match="is damaged"):
             read_activity(tmp_path, ended=True)

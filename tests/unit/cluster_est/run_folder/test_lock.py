@@ -170,4 +170,4 @@ def test_a_run_whose_process_was_killed_is_left_alone_and_who_watches_it_is_told
 def test_the_refusal_of_a_run_that_can_be_taken_up_names_that_first(tmp_path, status):
     with pytest.raises(RunFolderError, match=r"holds a run already.*--out.*--overwrite") as error:
         check_free(run_of(tmp_path, status), overwrite=False)
-    assert ("already; continue it with --resume" in str(error.value)) == (status != "done")
+    assert ("already; continue the run with --resume" in str(error.value)) == (status != "done")

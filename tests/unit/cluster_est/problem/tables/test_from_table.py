@@ -262,7 +262,7 @@ def test_a_column_has_times_of_its_own_where_they_are_named():
         ),
         ({"encodin": "utf-8"}, "reading: unknown key encodin; did you mean 'encoding'"),
         ({"skip_rows": -1}, "reading.skip_rows: must be"),
-        ({"skip_rows": 99}, "must have more lines than skip_rows, 99"),
+        ({"skip_rows": 99}, "must have more lines than skip_rows, which is 99"),
         ({"decimal": "'"}, 'reading.decimal: must be "." or ","'),
         ({"long": ["a"]}, "reading.long: must be the names of two columns"),
         ({"sheet": "A"}, "sheet: must be left out, because .* a csv file"),
