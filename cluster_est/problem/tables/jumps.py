@@ -243,8 +243,7 @@ def jump_findings(
         (
             f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps {_where(records)}; "
             "linear interpolation turns the jumps into ramps, which a fit may confuse with a delay",
-            "if the input keeps each sample until the next, write "
-            f"{interpolated(name, columns, 'hold')}",
+            f"{interpolated(name, columns, 'hold')}, if the input keeps each sample until the next",
         )
         for name, records in jumping_inputs(experiments, holds).items()
     )

@@ -308,6 +308,6 @@ def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name
         return
     assert re.search(
         rf"ImportError: cluster_est needs .*Python finds .*{re.escape(str(tmp_path / name))}"
-        " under that name first: rename it",
+        " under that name first; rename it",
         ended.stderr,
     ), ended.stderr

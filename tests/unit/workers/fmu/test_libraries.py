@@ -117,7 +117,7 @@ def test_a_library_for_a_newer_system(library):
     said = "/lib/libc.so.6: version `GLIBC_2.99' not found (required by m.so)"
     why = load_failure(library(elf("libc.so.6")), said) or ""
     assert why.startswith(
-        "it was built for a newer system than this machine has .it needs GLIBC_2.99"
+        "it was built for a newer system than this machine has (it needs GLIBC_2.99"
     )
     assert load_failure(library(elf("libc.so.6")), "another reason") is None
 

@@ -355,7 +355,7 @@ def test_the_data_of_a_mat_file_must_have_the_size_that_its_dimensions_say(tmp_p
         ("a.xlsx", "a workbook, but cannot be read as one"),
         ("a.h5", "a readable HDF5 file, but is not"),
         ("a.mf4", "an MDF file, but cannot be read as one"),
-        ("a.tdms", "a TDMS file (with channels)?, but"),
+        ("a.tdms", "a TDMS file( with channels)?, but"),
         ("a.fmu", "an FMU, but cannot be read as one"),
         ("a", "ends in ''; convert the file or rename it"),
     ],
