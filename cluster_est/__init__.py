@@ -56,9 +56,9 @@ def _refuse_other_workers() -> None:
     if own.is_dir() and not any(Path(place).resolve() == own.resolve() for place in places):
         where = None if found is None else found.origin or next(iter(places), None)
         raise ImportError(
-            f"cluster_est needs its package 'workers' in {own.parent}, but Python first finds "
-            f"{where} under that name: rename that file or folder, or move it out of the folders "
-            "from which Python imports"
+            f"cluster_est needs its package 'workers' in {own.parent}, but Python finds {where} "
+            "under that name first; rename it, or move it out of the folders from which Python "
+            "imports"
         )
 
 

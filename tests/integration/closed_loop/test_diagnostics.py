@@ -116,9 +116,9 @@ def test_an_effect_starts_where_it_is_told(problem):
     ("given", "phrase"),
     [
         ({"site": "der(v)", "form": "colomb"}, "did you mean 'coulomb'?"),
-        ({"site": "der(w)", "form": "coulomb"}, "no such site der(w)"),
+        ({"site": "der(w)", "form": "coulomb"}, "has no site der(w)"),
         ({"site": "der(v)", "form": "sine"}, "parameters.f.start is missing"),
-        ({"site": "der(v)"}, "must have either form or equation but has neither"),
+        ({"site": "der(v)"}, "must have exactly one of form and equation, but has neither"),
         ({"site": "der(v)", "form": "coulomb", "start": {"q": 1.0}}, "no such coefficient"),
         ({"site": "der(v)", "equation": "a *", "name": "own", "start": {"a": 1.0}}, "equation"),
     ],

@@ -96,12 +96,33 @@ def test_a_good_fmu(examined, name, fmi):
         ("reset_keeps_state", 2, "reset", "note", "0.035 of the outputs' size", "model.reset"),
         ("reset_crashes", 2, "reset", "note", "its process crashed (SIGSEGV)", "model.reset"),
         ("fails_to_reset", 2, "values", "note", "survive a reset", "model.reset"),
-        ("random_output", 2, "repeatable", "problem", "two fresh processes differ", "method.name"),
-        ("once_per_process", 2, "instances", "note", "and says so", "executor.name"),
-        ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
-        ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "data for the inputs"),
-        ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
+        (
+            "random_output",
+            2,
+            "repeatable",
+            "problem",
+            "two simulations in fresh processes differ",
+            "method.name",
+        ),
+        ("once_per_process", 2, "instances", "note", "as the FMU declares", "executor.name"),
+        (
+            "once_undeclared",
+            2,
+            "instances",
+            "note",
+            "although the FMU does not declare this",
+            "executor.name",
+        ),
+        ("shares_static", 2, "instances", "note", "give different results while", "executor.name"),
+        (
+            "dead_parameter",
+            2,
+            "dead parameters",
+            "note",
+            "depend on dead",
+            "if the inputs have data",
+        ),
+        ("wrong_directional", 2, "derivatives", "note", "differ from finite differences", "export"),
         ("zero_directional", 2, "derivatives", "note", "all of them are 0", "export"),
         ("needs_stop_time", 2, "stop time", "note", "only be initialised with", "model.stop_time"),
         pytest.param(
@@ -110,7 +131,7 @@ def test_a_good_fmu(examined, name, fmi):
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
         ("crashes_at_start", 2, "experiment default", "problem", "crash: ", ""),
-        ("hangs_at_start", 2, "experiment default", "problem", "did not end within", ""),
+        ("hangs_at_start", 2, "experiment default", "problem", "no answer within", ""),
     ],
 )
 def test_what_is_wrong_is_named(examined, name, fmi, check, verdict, found, do):
@@ -139,7 +160,7 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined, fmi):
     refused = next(each for each in page.findings if "refuses" in each.found)
     assert refused.verdict == "note"
     assert refused.found.startswith("limit: ")
-    assert "1 of 1 affect the outputs" in line(page, "parameters").found
+    assert "1 of 1 parameters affect the outputs" in line(page, "parameters").found
 
 
 @pytest.mark.parametrize(
@@ -214,7 +235,7 @@ def test_a_config_whose_parameter_is_dead(own_fmu, tmp_path, capsys):
     assert main(["check", str(write_input(tmp_path, changes)), "--seconds", "60"]) == 1
     said = capsys.readouterr().out
     assert "parameter dead" in said
-    assert "1 of 2 affect the outputs" in said
+    assert "1 of 2 parameters affect the outputs" in said
 
 
 def test_an_experiment_at_rest_tells_nothing(capsys):
@@ -222,7 +243,7 @@ def test_an_experiment_at_rest_tells_nothing(capsys):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0
     said = capsys.readouterr().out
-    assert "3 of 3 affect the outputs" in said
+    assert "3 of 3 parameters affect the outputs" in said
     assert "y changes by 0 of its size" not in said
 
 
@@ -258,7 +279,7 @@ def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu, fmi):
     page = looked_at(replace(problem, experiments=(replace(run, stop=12.0),)))
     ended = line(page, "experiment default")
     assert "the FMU ended the simulation by itself at t = 9 s" in ended.found
-    assert ended.do == "a config whose experiment has a stop before that time"
+    assert ended.do == "a config with an experiment that stops before that time"
 
 
 def parameter(name, reference=0, variability="fixed", start=1):
@@ -435,10 +456,16 @@ def test_with_more_time_each_check_has_more(spring):
 @pytest.mark.parametrize(
     ("verdicts", "end"),
     [
-        (["not done"], "nothing was checked yet"),
-        (["not done", "ok"], "1 of 2 checks was not done; the others: no problem was found"),
-        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; the others: 1 problem"),
-        (["ok", "note"], "no problem was found; 1 note says what may be wrong"),
+        (["not done"], "nothing has been checked yet"),
+        (
+            ["not done", "ok"],
+            "1 of 2 checks was not done; result of the others: no problem was found",
+        ),
+        (
+            ["not done"] * 2 + ["problem"],
+            "2 of 3 checks were not done; result of the others: 1 problem",
+        ),
+        (["ok", "note"], "no problem was found; read the 1 note too"),
     ],
 )
 def test_the_last_line_counts_what_was_done(capsys, verdicts, end):

@@ -204,7 +204,7 @@ LEFT_OUT = "must be left out with slope_change"
     [
         (
             {"form": "coulomb", "parameters": {"width": {"start": 0.1}}},
-            r"slope_change: must be used with a free curve",
+            r"slope_change: is only for a form that is a free curve",
         ),
         ({"bounds": [2.0, 1.0]}, r"bounds: must be \[lower, upper\]"),
         ({"bounds": [1.0, 2.0]}, r"start: must lie within the bounds"),

@@ -51,9 +51,19 @@ def write(folder, missing):
 @pytest.mark.parametrize(
     ("missing", "found"),
     [
-        ("tFy", "nothing measured: input F may have changed there, so the part after it begins"),
-        ("Fy", "nothing measured: input F may have changed there, so the part after it begins"),
-        ("F", "input F not measured: input F may have changed there, so the part after it begins"),
+        (
+            "tFy",
+            "no data at all: input F may have changed there, so a new part begins after the gap",
+        ),
+        (
+            "Fy",
+            "no data at all: input F may have changed there, so a new part begins after the gap",
+        ),
+        (
+            "F",
+            "no data for input F: input F may have changed there, so a new part begins after the "
+            "gap",
+        ),
         ("y", "output y not measured: the inputs are known in the gap"),
     ],
 )

@@ -259,7 +259,7 @@ def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsy
     ("override", "sentence"),
     [
         ("method.shooting={segments=1}", "method.shooting.segments"),
-        ("multistart.n=4", "multistart requests 4 starts"),
+        ("multistart.n=4", "multistart asks for 4 starts"),
     ],
 )
 def test_what_a_config_cannot_ask_for_is_one_sentence(tmp_path, capsys, override, sentence):
@@ -302,7 +302,7 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
         (stateless(), THREE, {}, "needs a model with states"),
         (replace(springs(), cost=COSTS["huber"]()), THREE, {}, 'needs cost.name = "sse"'),
         (springs(), THREE, {"method": "pattern_search"}, "needs .*least_squares.* pattern_search"),
-        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart requests 3 starts"),
+        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart asks for 3 starts"),
     ],
 )
 def test_what_segments_cannot_help_is_refused(problem, shooting, how, said):

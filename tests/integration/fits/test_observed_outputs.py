@@ -132,13 +132,13 @@ HUBER = COSTS["huber"]()
     [
         (
             with_outputs(hidden_springs(detection_limit=LIMIT), lambda o: replace(o, sigma=1.0)),
-            "must have a sigma with a detection_limit",
+            "must have a sigma if it has a detection_limit",
         ),
         (
             replace(hidden_springs(detection_limit=LIMIT), cost=HUBER),
-            "must be used with the cost sse",
+            "so cost.name must be",
         ),
-        (replace(observed(free_scale=True), cost=HUBER), "must be used with the cost sse"),
+        (replace(observed(free_scale=True), cost=HUBER), "so cost.name must be"),
     ],
 )
 def test_a_limit_without_a_sigma_and_another_cost_are_refused(problem, said):

@@ -63,7 +63,7 @@ def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
         ("{mean=1.0, sd=0.1}", r"prior\.name: must be one of normal, lognormal .*missing"),
         ("{name='norml', mean=1.0, sd=0.1}", r"prior\.name: must be one of .*'norml'"),
         ("{name='normal', mean=1.0}", r"prior\.sd is missing"),
-        ("{name='normal', mean=1.0, sd='1'}", r"prior\.sd: must be a number but is '1'"),
+        ("{name='normal', mean=1.0, sd='1'}", r"prior\.sd: must be a number, but is '1'"),
         ("{name='normal', mean=1.0, sd=0.1, bias=2}", r"prior\.bias: normal has no such option"),
         (
             "{name='normal', mean=20.0, sd=0.1}",

@@ -254,7 +254,7 @@ def test_a_derivative_that_is_not_finite_is_said():
 
 
 def test_co_simulation_is_refused():
-    with pytest.raises(ModelError, match=r"gives in model exchange only.*co_simulation"):
+    with pytest.raises(ModelError, match=r"provides only in model exchange.*co_simulation"):
         answer(model_of(Solver("fmu")), driven(), SPRING, "linearisation")
 
 

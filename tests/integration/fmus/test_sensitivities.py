@@ -162,11 +162,11 @@ def test_curves_and_bounds_are_differentiated_too(ask):
 @pytest.mark.parametrize(
     ("given", "options", "why"),
     [
-        (("bouncing_ball", "height", "e"), {}, "no directional derivatives"),
+        (("bouncing_ball", "height", "e"), {}, "does not provide directional derivatives"),
         (("van_der_pol", "y", "mu"), {"solver": Solver("cvode")}, "solver 'cvode'"),
         (
             ("van_der_pol", "y", "mu"),
-            {"solver": Solver("fmu"), "interface": "co_simulation"}, "in model exchange only",
+            {"solver": Solver("fmu"), "interface": "co_simulation"}, "only in model exchange",
         ),
     ],
 )  # fmt: skip

@@ -129,10 +129,10 @@ def test_a_design_is_resumed_from_its_log(folder, design, tmp_path, capsys):
     (cut / "next_input.parquet").unlink()
     change_facts(cut, status="interrupted")
     assert design("--resume") == 0
-    assert "simulations are in its log" in capsys.readouterr().err
+    assert "its log has" in capsys.readouterr().err
     assert tables(cut) == tables(folder / "next")
     assert design("--resume") == 0
-    assert "holds a finished run" in capsys.readouterr().err
+    assert "is already finished" in capsys.readouterr().err
 
 
 def test_what_is_there_is_not_overwritten(folder, tmp_path, capsys):
@@ -140,7 +140,7 @@ def test_what_is_there_is_not_overwritten(folder, tmp_path, capsys):
     full.write_text("time,F,y\n0.0,1.0,0.5\n", encoding="utf-8")
     for out, how, said in (
         (folder / "next.csv", [], "exists already"),
-        (folder / "loop.csv", ["--overwrite"], "which contains or is the run to read"),
+        (folder / "loop.csv", ["--overwrite"], "but this folder contains or is the run to read"),
         (full, ["--overwrite"], "contains measurements, which are not overwritten"),
         (full, ["--resume"], "contains measurements, which are not overwritten"),
     ):

@@ -252,8 +252,11 @@ def test_the_folder_has_the_curves_of_a_run_that_has_ended(configured):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"config_folder": "/nowhere"}, "its config was in /nowhere, which is not here"),
-        ({"config_folder": None}, "must record the folder of its config's files but does not"),
+        (
+            {"config_folder": "/nowhere"},
+            "its config was in /nowhere, which does not exist on this machine",
+        ),
+        ({"config_folder": None}, "does not record the folder"),
     ],
 )
 def test_why_there_are_no_curves_is_said(on_its_way, change, said):
@@ -318,7 +321,7 @@ def test_watch_serves_the_page_until_ctrl_c(ended, capsys, monkeypatch):
     assert main(["watch", str(ended), "--browser"]) == 0
     said = capsys.readouterr()
     assert "http://127.0.0.1:" in said.err
-    assert "the page is closed" in said.out
+    assert "the page was closed" in said.out
 
 
 def test_watch_refuses_what_it_cannot_show(ended, tmp_path, capsys):

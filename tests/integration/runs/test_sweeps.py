@@ -368,14 +368,20 @@ def test_folders_of_others_are_left_alone(sweep):
     (OUT / "thesis.tex").touch()
     code, _, errors = sweep()
     assert code == 2
-    assert "out: must be new, empty or a sweep's own but holds other files" in errors
+    assert (
+        "out: must be a new or empty folder, or the folder of a sweep, but holds other files"
+        in errors
+    )
     (OUT / "thesis.tex").rename(OUT / "sweep.json")
     strange = OUT / "new/thesis.tex"
     strange.parent.mkdir()
     strange.touch()
     code, _, errors = sweep(axes=[], runs=[{"name": "new"}])
     assert code == 2
-    assert "out/new: must be a run's folder but holds other files, such as 'thesis.tex'" in errors
+    assert (
+        "out/new: must be the folder of a run, but holds other files, such as 'thesis.tex'"
+        in errors
+    )
     assert strange.exists()
 
 

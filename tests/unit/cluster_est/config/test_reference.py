@@ -129,7 +129,9 @@ def test_settings_take_each_key_once_and_another_name_of_it_in_python_alone():
         ):
             Budget(*given, **named)
     assert LoopSettings(forms=["bias"]).changed(forms=["lag"]) == LoopSettings(effects=["lag"])
-    with pytest.raises(ProblemError, match=r"closed_loop.effects: must be a list but is 3 \(forms"):
+    with pytest.raises(
+        ProblemError, match=r"closed_loop.effects: must be a list, but is 3 \(forms"
+    ):
         LoopSettings(forms=3)
     keys = tree(everything=False)
     keys["closed_loop"] = {"forms": ["bias"]}

@@ -163,7 +163,7 @@ def test_what_a_prior_cannot_be_weighed_against_is_refused():
     bootstrap = UncertaintySettings(bootstrap=10)
     for study, pattern in (
         (Fit(replace(whole, cost=COSTS["huber"]())), 'a.prior: .*the cost "sse".*huber'),
-        (Fit(problem), "experiment 'e0': sigma.y0 is missing; the prior"),
+        (Fit(problem), "experiment 'e0': sigma.y0 is missing, but the prior"),
         (Fit(replace(problem, experiments=runs)), "experiment 'e1': sigma.y0 is missing"),
         (Fit(whole, uncertainty=bootstrap), "uncertainty.bootstrap: must be 0 with priors"),
     ):

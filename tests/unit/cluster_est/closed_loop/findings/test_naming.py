@@ -42,7 +42,7 @@ AT_ITSELF = [
     ("m/s", "square_root", "a term in the square root of z"),
     ("K", "coulomb", "a term that switches with the sign of z"),
     *((unit, "viscous", "a term linear in z") for unit in ("V", "m", "1/s", "1", "")),
-    ("%", "quadratic", "a term quadratic in z that has its sign"),
+    ("%", "quadratic", "a term quadratic in z with the sign of z"),
     ("foo^-3", "coulomb", "a term that switches with the sign of z"),
 ]
 
@@ -118,7 +118,7 @@ WHERE = {
          "Coulomb friction proportional to the magnitude of p"),
         (PRESSED, "der(v)", "coulomb_table v p", AGAINST, "Coulomb friction that depends on p"),
         (PRESSED, "der(v)", "coulomb_table v p", PARTLY,
-         "a term that switches with the sign of v and has the size of a free curve of p"),
+         "a term that switches with the sign of v and whose magnitude is a free curve of p"),
         ({}, "der(v)", "load_dependent_coulomb v p", AGAINST,
          "a term that switches with the sign of v, proportional to the magnitude of p"),
     ],
