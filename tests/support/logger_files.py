@@ -159,11 +159,15 @@ case(
         table([f"23,4;{comma(t)}" for t in T], **(DE | {"head": ("T [°C]", *GERMAN)})),
         encoding="cp1252",
     ),
-    notes="cp1252, a guess",
+    notes="read as cp1252, which is a guess; if it is wrong",
 )
 case("UTF-16 of Excel", written(table(**(DE | {"sep": "\t"})), ".txt", "utf-16"))
 case("UTF-16, large end first", written("\ufeff" + table(**DE), encoding="utf-16-be"))
-case("UTF-16 without a mark", written(table(**DE), encoding="utf-16-le"), notes="UTF-16-LE without")
+case(
+    "UTF-16 without a mark",
+    written(table(**DE), encoding="utf-16-le"),
+    notes="no byte order mark and is read as UTF-16-LE, which is a guess",
+)
 case(
     "UTF-16 said to be so", written(table(**DE), encoding="utf-16-le"), read=("encoding=utf-16-le",)
 )
@@ -174,7 +178,7 @@ case(
             table(head=("time", "F", "y", "note"), after="," + "n" * 6000)[:-10] + "Geräte\n"
         ).encode("cp1252")
     ),
-    notes="cp1252, a guess",
+    notes="read as cp1252, which is a guess; if it is wrong",
 )
 case(
     "an encoding that cannot be guessed",
@@ -254,7 +258,11 @@ case(
     ),
     notes="no header",
 )
-case("a last line that is cut off", written(table() + "1.2,0."), refused="3, but row 62 has 2; cor")
+case(
+    "a last line that is cut off",
+    written(table() + "1.2,0."),
+    refused="must have 3 cells.*but row 62 has 2; cor",
+)
 case(
     "a first value that is no number",
     written(table().replace("\n0,0,", "\n0,OL,")),

@@ -71,8 +71,16 @@ case("Excel's line on the separator", written("sep=;\n" + table(**DE)))
 case("the same behind a mark", written("\ufeffsep=;\r\n" + table(**DE, end="\r\n")))
 SUMMARY = "\nMaximum,3,0.09\nSamples: 60\n"
 case("a summary below", text(LINE, below=SUMMARY), notes="below its table are ignored: 2 lines")
-case("an end mark", text(LINE, below="*** end of file ***\n"), notes="left out: 1 line")
-case("zeros where the power failed", text(LINE, below="\0" * 512), notes="left out: zeros")
+case(
+    "an end mark",
+    text(LINE, below="*** end of file ***\n"),
+    notes="below its table are ignored: 1 line",
+)
+case(
+    "zeros where the power failed",
+    text(LINE, below="\0" * 512),
+    notes="below its table are ignored: zeros",
+)
 case("an end mark behind blanks", text("{t} {f} {y}", "time F y\n", ".prn", "END\n"))
 case(
     "the header once more",

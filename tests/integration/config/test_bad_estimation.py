@@ -102,7 +102,7 @@ SIGNALS = [
     (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap the simulation.*0 to 0.3.*\[5.0, 6"),
     (on_y(upper=1, between=[4, 3]), r"\[0\].between: .*\[from, to\].*\[4.0, 3.0\]"),
     (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out with final"),
-    (on_y(upper=1, experiments=["b"]), r"\[0\].experiments: .*no entry 'b'.*'a'"),
+    (on_y(upper=1, experiments=["b"]), r"constraints\[0\].experiments: there is no 'b'; .*'a'"),
     (on_y(upper=1, equality=True), r"\[0\].equality: .*left out"),
     (on_y(upper=1, samples=1), r"\[0\].samples: .*greater than 1.*1"),
     (on_y(upper=1, samples=2**62), r"\[0\].samples: .*at most 1e\+07.*46"),

@@ -28,7 +28,7 @@ def test_an_unknown_key_is_named_with_its_line_and_the_nearest_known_one(refuse,
 
 def test_a_key_that_stands_too_deep_is_shown_where_it_belongs(refuse):
     outputs = {"x": {"column": "x", "sigma": 0.1}}
-    belongs = rf"outputs\.x\.sigma.*'sigma' is a key of the section {EXPERIMENT}"
+    belongs = rf"outputs\.x\.sigma.*'sigma' is a key of {EXPERIMENT} itself, so move it"
     refuse({f"{A}.outputs": outputs}, belongs)
     outputs = {"x": {"column": "x", "sgma": 0.1}}
     assert "is a key of" not in refuse({f"{A}.outputs": outputs}, "sgma")

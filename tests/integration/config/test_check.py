@@ -157,9 +157,10 @@ def test_an_fmu_with_a_clock_is_named(examined, monkeypatch):
 def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined, fmi):
     page = examined("refuses_parameter", fmi)
     assert page.good
-    refused = next(each for each in page.findings if "refuses" in each.found)
+    refused = next(each for each in page.findings if "cannot be set" in each.found)
     assert refused.verdict == "note"
     assert refused.found.startswith("limit: ")
+    assert refused.do.startswith("remove from the config what cannot be set")
     assert "1 of 1 parameters affect the outputs" in line(page, "parameters").found
 
 
@@ -173,14 +174,14 @@ def test_the_communication_step_with_which_it_can_be_simulated_is_named(own_fmu,
     assert not page.good
     failed = line(page, "experiment default")
     assert "t = " in failed.found
-    assert failed.do.startswith("model.step = 0.01, ")
+    assert failed.do.startswith("set model.step = 0.01; ")
 
 
 @pytest.mark.parametrize("name", [pytest.param("leaks", marks=slow), "leaks_on_reset"])
 def test_a_leak_has_its_size(examined, name):
     named = line(examined(name, executor="processes"), "memory")
     assert named.verdict == "note"
-    leak = float(named.found.removeprefix("leaks ").partition(" ")[0])
+    leak = float(named.found.removeprefix("each simulation leaks ").partition(" ")[0])
     assert leak == pytest.approx(1024.0, rel=0.05)  # a MiB, and what the allocator adds
     assert "executor.growth" in named.found
 
@@ -261,7 +262,7 @@ def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu):
 
 def test_what_one_process_cannot_repeat_is_not_compared_in_one(examined):
     page = examined("process_counter")
-    assert "new process for each simulation" in line(page, "reset").do
+    assert "each simulation can have a new process" in line(page, "reset").do
     assert line(page, "parameters").verdict == "not done"
     assert not [each for each in page.findings if each.check in ("accuracy", "dead parameters")]
 
@@ -279,7 +280,7 @@ def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu, fmi):
     page = looked_at(replace(problem, experiments=(replace(run, stop=12.0),)))
     ended = line(page, "experiment default")
     assert "the FMU ended the simulation by itself at t = 9 s" in ended.found
-    assert ended.do == "a config with an experiment that stops before that time"
+    assert ended.do == "write a config with an experiment that stops before that time"
 
 
 def parameter(name, reference=0, variability="fixed", start=1):
@@ -360,8 +361,9 @@ def findings(problem, kind, answer, check, points=0):
         ([0.1], [("ok", "simulated with all parameters at their lower bounds"),
                  ("not done", "not simulated with all parameters at their upper bounds")]),
         ([], [("not done", "not simulated with all parameters at their lower and upper bounds")]),
-        (["it stops"], [("note", "lower bounds: it stops"), ("not done", "at their upper bounds")]),
-        (["it stops", 0.2], [("note", "lower bounds: it stops")]),
+        (["it stops"], [("note", "at their lower bounds, it stops"),
+                        ("not done", "at their upper bounds")]),
+        (["it stops", 0.2], [("note", "at their lower bounds, it stops")]),
     ],
 )  # fmt: skip
 def test_only_bounds_that_were_tried_are_said_to_be_good(spring, answer, expected):

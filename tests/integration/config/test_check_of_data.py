@@ -241,7 +241,7 @@ def test_the_key_for_times_names_the_column_where_that_is_known(time, sample_tim
     source = TableSource("run", Path("a.csv"), time, sample_time, None, ())
     given = replace(problem(run(TRUTH | {"t": TIMES / 60.0})), tables=(source,))
     (said,) = findings(given, "time")
-    assert said.do == key
+    assert said.do == f"write {key}"
 
 
 def test_an_input_that_another_experiment_has_is_no_alarm():
@@ -299,7 +299,7 @@ def checked(tmp_path, capsys):
         (
             "",
             ['id = "a"\noutputs.current = ""\nsigma.speed = 0.5', 'id = "b"\noutputs.current = ""'],
-            "sigma is given for speed in experiment a but not in experiment b",
+            "sigma is given for speed in experiment a, but not in experiment b",
         ),
         ("", ['id = "a"'], ""),
         ("sigma = { speed = 0.5, current = 0.1 }", ['id = "a"'], ""),

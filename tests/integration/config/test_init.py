@@ -103,7 +103,7 @@ class TestWhereColumnsMatch:
         text, tree, said = written(table(tmp_path / "a.parquet", columns))
         assert "fill in" not in said
         assert factors(tree) == {time: 1e-3, force: 1e3, position: 1e-3}
-        assert "v [furlong/h] is in furlong/h but v is in m/s" in text
+        assert "v [furlong/h] is in furlong/h, but v is in m/s; if" in text
         problem = ce.read_problem("first.toml")
         assert problem.experiments[0].stop == pytest.approx(TIMES[-1])
         assert problem.experiments[0].inputs[0].values.max() == 1000.0

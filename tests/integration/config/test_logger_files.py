@@ -165,7 +165,8 @@ def test_tests_in_a_file_are_an_experiment_each_and_read_once(tmp_path, monkeypa
     for each, number in zip(runs, (3, 7), strict=True):
         np.testing.assert_allclose(each.inputs[0].values, number * F)
     config('[[experiments]]\nid = "a"\ndata = "all.csv"\nsplit_by = "test"\nsplit_value = "8"\n')
-    with pytest.raises(DataError, match=r"split_value: .*all.csv, column 'test': has no '8'"):
+    refused = r"split_value: .*all.csv, column 'test': has no value '8'; available: '3', '7'"
+    with pytest.raises(DataError, match=refused):
         ce.read_problem("first.toml")
 
 

@@ -176,8 +176,8 @@ REFUSED = [
     (ce.LoopSettings, {"pairs": "no"}, "pairs: must be true or false.*'no'"),
     (
         ce.LoopSettings,
-        {"without": ("restart",)},
-        "without: the search has no part 'restart'; did you mean 'restarts'",
+        {"without": ("dropp",)},
+        "without: the search has no part 'dropp'; did you mean 'drop'",
     ),
 ]
 WHERE = {ce.UncertaintySettings: "uncertainty.", ce.LoopSettings: "closed_loop."}

@@ -156,8 +156,8 @@ def _encoding(head: bytes, given: str) -> tuple[str, str]:
     for few, many, encoding in ((first, second, "utf-16-le"), (second, first, "utf-16-be")):
         if pairs and many > LEAST_NULS_OF_UTF16 * pairs and few < MOST_NULS_OF_TEXT * pairs:
             return encoding, (
-                f"its encoding is taken for {encoding.upper()}, because it has no byte order mark; "
-                "if that is wrong, set encoding"
+                f"its text has no byte order mark and is read as {encoding.upper()}, which is a "
+                "guess; if it is wrong, set encoding"
             )
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)

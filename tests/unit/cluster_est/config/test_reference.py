@@ -103,7 +103,7 @@ def test_the_reference_is_a_config_that_works():
 WRONG = [
     (Multistart, {"n": 0}), (Multistart, {"sampler": "x"}), (Multistart, {"points": [{"k": "a"}]}),
     (UncertaintySettings, {"confidence": 1.5}), (UncertaintySettings, {"profiles": 3}),
-    (LoopSettings, {"trials": 0}), (LoopSettings, {"sites": ["derv"]}), (LoopSettings, {"bem": 1}),
+    (LoopSettings, {"trials": 0}), (LoopSettings, {"sites": ["derv"]}), (LoopSettings, {"dras": 1}),
     (SensitivitySettings, {"groups": 1}), (SensitivitySettings, {"method": "mooris"}),
     (Budget, {"seconds": -1.0, "evaluations": 0.5}), (LogSettings, {"max_megabytes": "1"}),
     (Shooting, {}), (Shooting, {"segments": 1}),
