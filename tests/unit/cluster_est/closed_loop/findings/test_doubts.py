@@ -5,7 +5,7 @@ import pytest
 from support.loop_objects import made_problem, made_result
 from support.named_effects import estimate
 
-from cluster_est.closed_loop.findings.doubts import doubted
+from cluster_est.closed_loop.findings.claim_evidence import doubted
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
 from cluster_est.methods.method import Ending, Evaluation
