@@ -77,7 +77,7 @@ def test_a_sensitivity_analysis_is_done_and_replayed_on_thinned_records(tmp_path
 @pytest.mark.parametrize(
     ("rows", "expected"),
     [
-        (100, "for a fit and other steps, long records are thinned from 78 to"),
+        (100, "for a fit and other steps, long records are thinned from 500 to 78-143 rows:"),
         ('"auto"', "for close-loop, sensitivity and design, long records are thinned from"),
         ('"no"', ""),
     ],
