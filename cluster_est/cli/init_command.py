@@ -49,7 +49,7 @@ def init(options: Namespace, answer: Answer) -> int:
     for key, column in _by_unit(found).items():
         answer.say(
             f"{out}{_place(text, f'{key} = ')}: {column!r} was chosen for {key}, because it is the "
-            "only column with such a unit; if that is wrong, name another column"
+            "only column whose unit matches the variable's; if that is wrong, name another column"
         )
     for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)

@@ -252,11 +252,11 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
             "columns; each shows the lowest and the highest of its values, so that no peak is "
             "lost. "
         )
-        of = "all" if full == long else f"{full} of {long}"
+        of = "all long records" if full == long else f"{full} of the {long} long records"
         said += (
-            f"Zooming in shows every sample in {of} of the long records."
+            f"If you zoom in, the charts of {of} show every sample."
             if full
-            else "Zooming in shows no further samples."
+            else "If you zoom in, the charts show no further samples."
         )
         said += (
             " The file residuals.parquet in the run's folder has all samples."

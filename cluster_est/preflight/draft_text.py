@@ -275,7 +275,7 @@ def _why_held(column: TableColumn) -> str:
 
 def _why_taken(match: ColumnMatch) -> str:
     """Say why a column of another name is taken."""
-    return "the only column with such a unit" if match.by_unit else ""
+    return "the only column whose unit matches" if match.by_unit else ""
 
 
 def _outputs(run: DraftExperiment) -> Iterator[str]:

@@ -560,4 +560,4 @@ def _sentence(before: Problem, after: Problem) -> str:
 
 def _range(counts: Sequence[int]) -> str:
     low, high = min(counts), max(counts)
-    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
+    return f"{low:,}" if low == high else f"{low:,}-{high:,}"

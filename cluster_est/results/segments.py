@@ -125,7 +125,8 @@ class ShootingSummary:
             "in one piece",
             self._whole,
             *(
-                f"{name} was requested but left out, because it simulates whole records"
+                f"{name} was requested but is not computed, because it needs simulations of whole "
+                "records, and the result of this fit holds for segments only"
                 for name in self.left_out
             ),
         )

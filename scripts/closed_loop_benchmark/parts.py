@@ -47,12 +47,12 @@ If the run of the whole loop shows that the part changed nothing, the run withou
 only the simulations of the part are missing. "Where it acts" counts the other cases.
 
 A case is right if every effect has one of its names or the structure is the same model. If nothing
-is missing, it is right if no effect is added. If the library cannot express the effect, it is
-right if a free curve follows held-out data to within 1.5 times the error of the truth. "Lost" cases
-are right only with the part, "won" cases only without it; p is from the exact McNemar test.
-"False names" are named effects that are not among the true ones, with the part and without it.
-Held-out errors (median and largest) and simulations (geometric mean) are those without the part
-over those with it.
+is missing, a case is right if no effect is added. If the library cannot express the effect, a case
+is right if a free curve follows the held-out data with at most 1.5 times the error of the true
+model. A case is "lost" if it is right with the part and wrong without it, and "won" if it is the
+other way round. p is from the exact McNemar test. "False names" counts the named effects that are
+not true effects, with the part and without it. Held-out errors (median and largest) and simulations
+(geometric mean) are those without the part over those with it.
 
 All systems may be used for tuning. Pairs and triples are drawn at random from the effects of the
 benchmark, in addition to those that it lists.

@@ -360,8 +360,9 @@ def _placeholders(
     given = effect.variables or unnamed_variables(chosen, site)
     if len(given) != chosen.variables:
         raise EffectError(
-            f"{where}: variables: {chosen.name} needs {chosen.variables}, but {len(given)} are "
-            f"given; name states or inputs of the FMU, such as {list(variables)[:3]}"
+            f"{where}: variables: {chosen.name} needs {chosen.variables} variable"
+            f"{'' if chosen.variables == 1 else 's'}, but was given {len(given)}; name states or "
+            f"inputs of the FMU, such as {list(variables)[:3]}"
         )
     read = [_variable(text, variables, f"{where}: variables") for text in given]
     return dict(zip(("v", "w"), read, strict=False))

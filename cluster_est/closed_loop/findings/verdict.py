@@ -307,7 +307,7 @@ def _autocorrelated(residual: _Residual) -> str:
     if worst.believed:
         size = f"{worst.level:.3g} times the declared sigma"
     else:  # which is no measure of it; `is_noise_of_sensors` compares with the white part too
-        size = f"{worst.level / worst.white:.3g} times the white part of the noise"
+        size = f"{worst.level / worst.white:.3g} times the white-noise component"
     doubted = [o.output for o in residual.outputs if not o.believed]
     if doubted:
         of = f" of {' and '.join(doubted)}" if len(doubted) < len(residual.outputs) else ""

@@ -261,8 +261,9 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
         count = len(system.weighting.factor)
         rank = system.factors.rank
         notes.append(
-            f"there are no intervals, because {count} residuals determine {rank} directions and no "
-            "residual is left to estimate the noise"
+            f"there are no intervals, because {count} residuals determine {rank} independent "
+            "combinations of the parameters, so no residual is left to estimate the noise; add "
+            "measurements, or fix some parameters"
         )
     if layout.active:
         names = ", ".join(repr(name) for name in layout.active)

@@ -369,6 +369,8 @@ class TestWhereSomethingIsOpen:
         assert "fill in" not in said
         line = next(n for n, line in enumerate(text.split("\n"), 1) if "inputs.F = " in line)
         assert f"first.toml, line {line}: {name!r} was chosen for inputs.F, because it is" in said
+        assert "the only column whose unit matches" in text
+        assert "the only column whose unit matches" in said
         assert main(CHECK) == 0
 
     @pytest.mark.parametrize(
@@ -391,7 +393,7 @@ class TestWhereSomethingIsOpen:
         )
         given = {"time": TIMES} | dict.fromkeys(columns, FORCE)
         text, tree, said = written(table(tmp_path / "a.parquet", given), fmu=fmu)
-        assert "the only column with such a unit" not in text + said
+        assert "the only column whose unit matches" not in text + said
         taken = tree["experiments"][0].get("inputs", {})
         assert all(column.startswith("FILL IN") for column in taken.values())
 

@@ -178,7 +178,7 @@ def test_a_declared_effect_is_fitted_together_with_the_parameters():
         (("input f", "gain"), "has no site input f.*did you mean 'F'"),
         (("nowhere", "gain"), "must be.*'nowhere'"),
         (("der(v)", "coulom"), "'coulom'.*did you mean 'coulomb'"),
-        (("der(v)", "product", ("x",)), "product needs 2.*has 1"),
+        (("der(v)", "product", ("x",)), "product needs 2 variables, but was given 1"),
         (("der(v)", "linear", ("z",)), "variables.*'z'"),
         (("der(v)", "linear", ("x - z",)), "variables.*unknown variable 'z'"),
         (("der(v)", "linear", ("2 * x",)), "a name or the difference of two"),

@@ -219,7 +219,7 @@ LEFT_OUT = "must be left out with slope_change"
         ({"name": "my extra"}, r"my extra: must have a name of letters, digits and _"),
         (
             {"parameters": {"low": {"start": 1.0}, "high": {"start": 0.0}}},
-            r"low\.start: must be below the start of high, 0.*1",
+            r"low\.start: must be below the start of high, which is 0, but is 1",
         ),
         ({"parameters": ENDS | {"k2": {"fixed": True}}}, rf"k2\.fixed: {LEFT_OUT}"),
         ({"parameters": ENDS | {"k2": {"per": "experiment"}}}, rf"k2\.per: {LEFT_OUT}"),

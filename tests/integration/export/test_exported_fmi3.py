@@ -218,7 +218,7 @@ def test_units_and_types_are_kept_and_the_rest_is_left_out(tmp_path):
     model = Model("rich.fmu", archive, "model_exchange", Solver("dormand_prince"), ())
     path = tmp_path / "rich_repaired.fmu"
     notes = written(repair_of(model, Experiment("e", 0.0, 1.0, (), (output,)), (), (), ()), path)
-    assert any("lacks vast, texts[1], texts[2], clock, which FMI 2" in note for note in notes)
+    assert any("show vast, texts[1], texts[2], clock, because FMI 2" in note for note in notes)
     assert validate_fmu(str(path)) == []
     variables = {v.name: v for v in read_model_description(str(path)).modelVariables}
     hot, far = variables["T"], variables["far"]

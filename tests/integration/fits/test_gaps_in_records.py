@@ -64,7 +64,7 @@ def write(folder, missing):
             "no data for input F: input F may have changed there, so a new part begins after the "
             "gap",
         ),
-        ("y", "output y not measured: the inputs are known in the gap"),
+        ("y", "no data for output y: the inputs are known in the gap"),
     ],
 )
 def test_a_gap_is_told_of_and_leads_no_estimate_astray(tmp_path, missing, found):

@@ -230,7 +230,7 @@ def test_workers_change_no_bit_and_what_needs_whole_records_is_left_out(standing
     )
     assert again.x == standing.x
     assert again.cost == standing.cost
-    assert "uncertainty.profiles was requested but left out" in " ".join(again.notes)
+    assert "uncertainty.profiles was requested but is not computed" in " ".join(again.notes)
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def test_the_note_counts_the_pairs_in_order():
         tau = kendalltau(output.values, values, variant="c").statistic
         excess = tau * len(values) ** 2 * (1.0 - 1.0 / 4.0) / 2.0
         there, agreeing = there + unequal, agreeing + (unequal + excess) / 2.0
-    (note,) = [n for n in result.notes if "only the order of the values" in n]
+    (note,) = [n for n in result.notes if "only the order of the values of y is compared" in n]
     assert f"{agreeing / there:.3%} are simulated in the right order" in note
 
 
@@ -130,7 +130,7 @@ def test_a_held_out_part_has_the_categories_of_its_record():
     )
     for one, other in zip(own, of_record, strict=True):
         assert one == pytest.approx(other, rel=1e-6)
-    assert any("of the pairs of held-out values" in note for note in result.notes)
+    assert any("of the pairs of different held-out values" in note for note in result.notes)
 
 
 def test_a_sensor_that_is_read_in_numbers_counts_beside_one_that_is_not():

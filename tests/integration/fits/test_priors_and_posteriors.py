@@ -69,7 +69,7 @@ def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
             "{name='normal', mean=20.0, sd=0.1}",
             r"prior: must have its centre within the bounds .0.1, 10",
         ),
-        ("experiment_defaults.sigma={}", r"sigma\.y is missing; uncertainty\.posterior needs"),
+        ("experiment_defaults.sigma={}", r"sigma\.y is missing, but uncertainty\.posterior needs"),
         (
             "cost.name=huber",
             r'uncertainty\.posterior: must be used with the cost "sse" or "likelihood"',

@@ -250,7 +250,7 @@ def test_a_derivative_that_is_not_finite_is_said():
     )
     assert plain.ok
     assert outcome.status is Status.NOT_FINITE
-    assert outcome.message == "the derivative of 'der(v)' by 'x' is nan at t = 0 s"
+    assert outcome.message == "the derivative of 'der(v)' with respect to 'x' is nan at t = 0 s"
 
 
 def test_co_simulation_is_refused():

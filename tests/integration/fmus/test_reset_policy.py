@@ -92,7 +92,7 @@ def test_a_new_process_for_each_simulation(fitted, tmp_path, reset):
 
 def test_one_process_cannot_be_new_each_time(fitted, capsys):
     assert fitted("dahlquist", 2, "model.reset=process") == 2
-    assert 'choose "processes" or "ray"' in capsys.readouterr().err
+    assert 'set executor.name to "processes" or "ray"' in capsys.readouterr().err
 
 
 def test_values_of_another_experiment_that_survive_a_reset(fitted, tmp_path):

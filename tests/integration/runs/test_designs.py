@@ -80,8 +80,8 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
         assert text in page
     probabilities = rows(folder / "next", "probabilities")
     told = sum(each["after"] > max(0.9, each["before"]) for each in probabilities)
-    tells = f"{told} of {len(probabilities)} models" if told else "no model"
-    assert f"distinguishes {tells} from its rivals" in page
+    tells = f"{told} of {len(probabilities)} models from their" if told else "any model from its"
+    assert f"expected to distinguish {tells} rivals" in page
     units = {each["label"]: each["unit"] for each in rows(folder / "next", "precision")}
     assert units["k"] == "N/m"
 

@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_is_not_stopped(ended):
     with LivePage(ended) as page:
         answer, content = Visitor(page).ask("/stop", "POST")
     assert answer.status == 409
-    assert b"must be a run in progress to be stopped but is done" in content
+    assert b"must be a run in progress to be stopped, but is done" in content
     assert not (ended / "stop").exists()
 
 
@@ -310,7 +310,9 @@ def test_fit_does_what_it_does_and_says_where_its_page_is(tmp_path, capsys):
     out = tmp_path / "run"
     assert main(["fit", SPRING, "--out", str(out), "--browser", "--no-report"]) == 0
     said = capsys.readouterr()
-    assert re.search(r"the page of the run is http://127\.0\.0\.1:\d+/\?token=\S{43}\n", said.err)
+    assert re.search(
+        r"the page of the run is at http://127\.0\.0\.1:\d+/\?token=\S{43}\n", said.err
+    )
     assert "token" not in said.out
     assert "token" not in (out / "run.json").read_text()
 

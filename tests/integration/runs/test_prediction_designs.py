@@ -119,7 +119,7 @@ def test_the_standard_deviations_are_those_of_a_linear_model(linear):
     drawn = sorted(value for value, each in scores if each.candidate.origin == "random")
     middle = np.sqrt(np.mean([(p.random / p.std_error_before) ** 2 for p in found.predictions]))
     assert min(abs(middle - np.exp(-np.array(drawn)))) < 0.01
-    assert "with a random input within the same limits to" in found.summary
+    assert "with a random input within the same limits, to " in found.summary
 
 
 PREDICT = "[[predictions]]\n"
@@ -282,6 +282,6 @@ def test_what_depends_on_nothing_estimated_is_refused(linear):
 )
 def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
     with pytest.raises(
-        ProblemError, match=f"must have a unique name but '{name}' is the name of another"
+        ProblemError, match=f"must have a unique name, but '{name}' is the name of another"
     ):
         wide(linear[0], 10, *map(PredictionTarget, plans))

@@ -282,10 +282,10 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("parameters.m.start=1.5", "parameters.m.start was 1.0 and is 1.5"),
-        ("method.options.trials=2", "method.options.trials was not there and is 2"),
+        ("parameters.m.start=1.5", "parameters.m.start was 1.0 then and is 1.5 now"),
+        ("method.options.trials=2", "method.options.trials was not there then and is 2 now"),
         ("close-loop", "started by another command"),
-        ("numpy", "numpy was 0.1 and is "),
+        ("numpy", "numpy was 0.1 then and is "),
         ("python", "python was 2.7.1 then and is "),
         ("fmu", "the FMU mass_spring_damper.fmu had other contents"),
         ("exp2", "the data of experiment 'exp2' were different"),

@@ -77,8 +77,8 @@ def test_a_sensitivity_analysis_is_done_and_replayed_on_thinned_records(tmp_path
 @pytest.mark.parametrize(
     ("rows", "expected"),
     [
-        (100, "for a fit and other steps long records are thinned from 78 to"),
-        ('"auto"', "for close-loop, sensitivity and design long records are thinned from"),
+        (100, "for a fit and other steps, long records are thinned from 500 to 78-143 rows:"),
+        ('"auto"', "for close-loop, sensitivity and design, long records are thinned from"),
         ('"no"', ""),
     ],
 )

@@ -176,7 +176,9 @@ class TestFailures:
         assert f"refits of {result.unfinished} of 80 draws stopped" in result.sentences[0]
 
     def test_few_experiments_are_refused(self):
-        with pytest.raises(ProblemError, match=r"there are 4; use uncertainty\.profiles"):
+        with pytest.raises(
+            ProblemError, match=r"at least 5 .* but has 4; use uncertainty\.profiles"
+        ):
             run(levels(count=4))
         check_bootstrap(levels(count=5).space())
 

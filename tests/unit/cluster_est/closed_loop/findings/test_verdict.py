@@ -196,8 +196,7 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
     judgement = judge(declared, replace(search, noise=np.array([white])))
     assert judgement.verdict is Verdict.COLOURED
     assert (
-        "(1.2 times the white part of the noise; unless you declare a sigma that"
-        in judgement.reason
+        "(1.2 times the white-noise component; unless you declare a sigma that" in judgement.reason
     )
 
 

@@ -136,7 +136,7 @@ def test_chains_that_are_too_short_have_no_interval_and_say_how_long_they_must_b
     assert not found.mixed
     assert all(np.isnan([each.lower, each.upper, each.mean]).all() for each in found.intervals)
     (said,) = found.sentences
-    assert "no interval, because the chains are too short." in said
+    assert "there is no interval, because the chains are too short: draws of " in said
     assert int(said.rpartition("uncertainty.posterior to at least ")[2]) > 100
 
 
