@@ -8,7 +8,7 @@
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --calibrate claims*.jsonl
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
-    python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation beam,replace+drop
+    python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation drop,waves+bounded
     python scripts/bench_closed_loop.py --out parts.jsonl --parts-page parts_of_the_search.md
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
@@ -126,7 +126,9 @@ def main() -> int:
         options.page.write_text(text, encoding="utf-8")
         return 0
     if options.parts_page:
-        options.parts_page.write_text(parts_page(read_parts(options.out)), encoding="utf-8")
+        deleted = read_parts(options.deleted) if options.deleted else {}
+        text = parts_page(read_parts(options.out), deleted)
+        options.parts_page.write_text(text, encoding="utf-8")
         return 0
     cases = choose(options)
     if options.ablation:
@@ -145,7 +147,7 @@ def variants_of(options: argparse.Namespace) -> list[Variant]:
     """Return the loop as it is, and without each of the parts that are to be left out."""
     rows = options.rows if options.rows in ("auto", "no") else int(options.rows)
     whole = Way(
-        LoopSettings(beam=options.beam, without=options.without),
+        LoopSettings(without=options.without),
         Sampling(options.rate, options.jitter),
         ThinningSettings(rows=rows),
         remembers=bool(options.ablation or options.subsets or options.lacking),
@@ -214,7 +216,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--first", type=int, help="so many of the cases that are left then")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
-    parser.add_argument("--beam", type=int, default=LoopSettings().beam, help="closed_loop.beam")
     parts = tuple(part.value for part in LoopPart)
     parser.add_argument(
         "--without", type=names_of(parts), default=(), help="parts of the search to leave out"
@@ -228,6 +229,9 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--parts-page", type=Path, help="write the page about parts left out and run nothing"
+    )
+    parser.add_argument(
+        "--deleted", type=Path, help="with --parts-page: records of a search with further parts"
     )
     parser.add_argument(
         "--hidden-table", action="store_true", help="print that of hidden dynamics and run nothing"

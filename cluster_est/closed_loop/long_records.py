@@ -54,7 +54,7 @@ from workers.messages import FloatArray, Outcome, Output
 FAINT = 0.3
 """Times the noise of a thinned row by which the model may differ there, as a root mean square."""
 
-MANY = (LoopStage.TRIALS, LoopStage.REFITS, LoopStage.PROBE, LoopStage.SWAP, LoopStage.DROP)
+MANY = (LoopStage.TRIALS, LoopStage.REFITS, LoopStage.PROBE, LoopStage.DROP)
 """Stages of most simulations."""
 
 CONFIRMED_ON_ALL = "estimates, errors and conclusions are from all rows"

@@ -4,14 +4,13 @@
     while something is significant at the model:
         for each move: propose structures, choose the best that passes all gates
         if there is none: stop
-        model = revise(the best)
+        model = the best, without effects that no longer pay
+    if the model may not be claimed: try a free curve in the place of all effects
     model = the accepted one that predicts best what is left out of refits
     judge the model
 
-It is a beam search over structures (sets of effects): the best few of each size, grown by one each
-round. A greedy search never sees two effects that explain the residual together where neither does
-alone, or where a third one imitates both. So each round grows the accepted structure and others of
-its size (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon University, 1976).
+It is stepwise forward selection with backward elimination (N. R. Draper, H. Smith, Applied
+Regression Analysis, 1998, doi:10.1002/9781118625590), over structures, which are sets of effects.
 """
 
 from __future__ import annotations
@@ -32,13 +31,11 @@ from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
-from cluster_est.closed_loop.selection.free_curves import Merging
+from cluster_est.closed_loop.selection.argument_functions import curve_instead
 from cluster_est.closed_loop.selection.gates import choose, reason_to_stop
-from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
-from cluster_est.closed_loop.selection.moves import MOVES, revise
-from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, rivals_of
+from cluster_est.closed_loop.selection.moves import MOVES, drop, release_widths
+from cluster_est.closed_loop.selection.refits import rivals_of
 from cluster_est.closed_loop.selection.rounds import (
-    VERDICT,
     AcceptedStructure,
     ComparedStructure,
     RejectionReason,
@@ -53,9 +50,8 @@ from cluster_est.closed_loop.selection.rounds import (
     without_search,
 )
 from cluster_est.closed_loop.selection.starts import fit_declared
-from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.interpolation import (
     FittedExperiments,
     PreferredInterpolation,
@@ -67,8 +63,6 @@ from cluster_est.results.record_faults.find import record_faults
 from cluster_est.results.record_faults.fitted_records import FittedRecords
 from cluster_est.running.resources import Resources
 from workers.messages import Experiment, FloatArray, Outcome
-
-AGAIN = LeastSquares(trials=1, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 
 
 @dataclass(frozen=True)
@@ -194,48 +188,41 @@ def grow(
     base: FittedModel,
     numerical: Callable[[FittedModel], float],
     reached: Callable[[SelectionResult], None],
-    *,
-    again: bool = True,
 ) -> SelectionResult:
     """Add effects to the declared model while they earn it.
 
     `numerical` is the fall of the sum of squares that one effect more could owe to the error of the
-    solver at a fitted model; `again`, begin once more where the declared model turns out to have
-    been in a local minimum.
+    solver at a fitted model.
     """
-    log, merging = SearchLog.begun(fitter, settings, base), Merging()
-    remembers = LoopPart.REMEMBERED_FITS not in settings.without
-    cache = ModelCache(log.floor / fitter.size, remembers)
+    log = SearchLog.begun(fitter, settings, base)
     now = AcceptedStructure(base, log.predicted)
+    first: RoundStart | None = None
     passed: set[frozenset[str]] = set()
     while True:
-        begun = _screened(log, now, cache, numerical)
+        begun = _screened(log, now, numerical)
         passed.add(now.model.structure)
         best = propose_and_choose(fitter, begun)
         log.note(now, begun, best)
-        merging.note(begun, best)
         if best.won is None or best.prediction is None:
-            single = merging.instead(fitter, now)
+            single = curve_instead(fitter, first, now) if first is not None else None
             if single is None:
                 break
-            now = log.accept_single(single)
+            now, first = log.accept_single(single), None
             continue
-        if again and not begun.model.added and _was_local(fitter, begun, best.won):
-            restart = FitStart(base.problem, _declared_only(best.won), base.added)
-            declared = fit_declared(fitter, restart, settings.starts)
-            return grow(fitter, settings, declared, numerical, reached, again=False)
-        grown = revise(fitter, begun, best, now.rivals)
-        now = replace(now, rivals=grown.rivals)
-        unchanged = grown.model is best.won.fitted
-        prediction = best.prediction if unchanged else predict(fitter, grown.model)
-        if grown.model.structure != best.won.fitted.structure:
-            log.keep(AcceptedStructure(best.won.fitted, best.prediction, grown.rivals))
-            log.accept(grown.model, grown.move)
-        if grown.model.structure in passed:
+        if first is None and not begun.model.added:
+            first = replace(begun, screening=begun.screening.without_bases())
+        won, prediction = best.won.fitted, best.prediction
+        model = release_widths(fitter, begun, drop(fitter, begun, won))
+        found = rivals_of(best.won, best.seen.contenders)
+        rivals = {**found, **now.rivals, **{name: own for name, own in found.items() if own[1]}}
+        if model.structure != won.structure:
+            log.keep(AcceptedStructure(won, prediction, rivals))
+            log.accept(model, LoopPart.DROP)
+        if model is not won:
+            prediction = predict(fitter, model)
+        if model.structure in passed:
             break
-        now = AcceptedStructure(grown.model, prediction, grown.rivals, best.compared)
-        single = merging.instead(fitter, now, whole=True)
-        now = now if single is None else log.accept_single(single)
+        now = AcceptedStructure(model, prediction, rivals)
         reached(log.result(now))
         del begun, best  # the next ones are as large
     return log.result(now)
@@ -314,7 +301,7 @@ class SearchLog:
 
     def keep(self, structure: AcceptedStructure) -> None:
         """Keep a structure, which may be the answer."""
-        self.accepted.append(replace(structure, beside=(), rounds=len(self.rounds)))
+        self.accepted.append(replace(structure, rounds=len(self.rounds)))
 
     def accept(self, fitted: FittedModel, move: LoopPart | None) -> None:
         """Note a structure that takes the place of one that was compared."""
@@ -329,7 +316,7 @@ class SearchLog:
         assert prediction is not None
         fall = won.criterion - self.base.criterion(self.fitter.records)
         self.seen = with_single(self.seen, won, fall)
-        self.accept(won.fitted, LoopPart.MERGE)
+        self.accept(won.fitted, LoopPart.FREE_CURVE)
         rivals = rivals_of(won, end.seen.contenders)
         return AcceptedStructure(won.fitted, prediction, rivals)
 
@@ -344,7 +331,6 @@ class SearchLog:
 def _screened(
     log: SearchLog,
     now: AcceptedStructure,
-    cache: ModelCache,
     numerical: Callable[[FittedModel], float],
 ) -> RoundStart:
     """Begin a round: compare all candidates with what the accepted structure leaves."""
@@ -354,36 +340,13 @@ def _screened(
     fitter.enter(f"looking for {which}")
     screening = screen(fitter, settings, now.model, len(log.rounds) + 1)
     error = numerical(now.model)
-    cache.keep(fitter, now.model, screening.ranking)
     return RoundStart(
         base=log.base,
         model=now.model,
         prediction=now.prediction,
         screening=screening,
-        cache=cache,
         floor=log.floor,
         settings=settings,
         sigma_declared=fitter.sigma_declared,
-        beside=now.beside,
         numerical=error,
     )
-
-
-def _was_local(fitter: Fitter, begun: RoundStart, won: RefittedCandidate) -> bool:
-    """Return whether the declared model does better from the new parameters."""
-    if not begun.has(LoopPart.LOCAL_MINIMUM):
-        return False
-    base = begun.base
-    start = FitStart(base.problem, _declared_only(won), base.added)
-    bound = PruningBound(sse=(1.0 - VERDICT.negligible) * base.sse)
-    (brief,) = fitter.fit(LoopStage.DECLARED_AGAIN, [start], FIRST)
-    if brief is None or not can_reach(fitter.records, brief, bound):
-        return False
-    (fit,) = fitter.fit(LoopStage.DECLARED_AGAIN, [brief.start], AGAIN)
-    return fit is not None and fit.sse < bound.sse
-
-
-def _declared_only(won: RefittedCandidate) -> dict[str, float]:
-    names = [c.effect.name for c in won.fitted.added]
-    estimates = won.fitted.estimates.items()
-    return {k: v for k, v in estimates if not any(k.startswith(f"{n}.") for n in names)}

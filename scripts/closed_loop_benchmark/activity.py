@@ -19,17 +19,14 @@ from unittest.mock import patch
 
 from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
-from cluster_est.closed_loop.selection import acceptance, free_curves, gates, moves
+from cluster_est.closed_loop.selection import argument_functions, gates, moves
 from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.answer import without_effects
-from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
+from cluster_est.closed_loop.selection.argument_functions import refit_siblings
 from cluster_est.closed_loop.selection.rounds import RoundEnd
 from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
-
-CACHING = {LoopPart.REPLACE, LoopPart.MERGE_TWO}
-"""Revisions that leave refits in the cache: to later rounds they make a difference in any case."""
 
 WATCHED = {
     LoopPart.BEAM,
@@ -37,14 +34,10 @@ WATCHED = {
     LoopPart.FREE_CURVE,
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
-    LoopPart.SWITCH_WIDTHS,
-    LoopPart.RESTARTS,
     LoopPart.DROP,
-    LoopPart.MERGE,
-    LoopPart.LOCAL_MINIMUM,
+    LoopPart.SWITCH_WIDTHS,
     LoopPart.FUNCTIONS_OF_TIME,
     LoopPart.BOUNDED,
-    *CACHING,
     *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
 }
 """Parts of which it is noted whether they change anything; the others are taken to do so."""
@@ -68,7 +61,6 @@ class PartNotes:
     active: set[str] = field(default_factory=lambda: {*LoopPart} - WATCHED)
     spans: list[tuple[str, float, float]] = field(default_factory=list)
     _meters: list[object] = field(default_factory=list)
-    _cached: set[str] = field(default_factory=set)
 
     def watched(self, part: LoopPart | None, call: Calls, changes: Calls) -> Calls:
         """Return a function that notes what it simulates, and whether its answer changes anything.
@@ -97,30 +89,6 @@ class PartNotes:
             return answer
 
         return noted
-
-    def revision(self, each: moves.Revision) -> moves.Revision:
-        """Watch a revision; one that is not known counts as a change wherever it simulates."""
-
-        def changes(new: Any, _fitter: Fitter, _begun: object, grown: Any) -> bool:
-            if each.part in CACHING and len(grown.model.added) > 1:
-                self._cached.add(each.part)
-            return new is not grown or each.part not in WATCHED
-
-        return replace(each, revise=self.watched(each.part, each.revise, changes))
-
-    def revise(self, fitter: Fitter, begun: Any, end: Any, rivals: Any) -> Any:
-        """Revise; what earlier revisions have left in the cache may be found now, or later."""
-        self.active |= self._cached
-        grown = moves.revise(fitter, begun, end, rivals)
-        if len(grown.model.added) != len(end.won.fitted.added):
-            self.active |= self._cached
-        return grown
-
-    def merged(self, answer: object, *_: object) -> bool:
-        """Tell whether a single effect has taken the place of all; see `revise`."""
-        if answer is not None:
-            self.active |= self._cached
-        return answer is not None
 
     def chosen(self, *given: Any) -> RoundEnd:
         """Choose; where the best was not refused alone, those asked after it make a difference."""
@@ -163,7 +131,6 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
     """By module or class, what stands in the place of its own."""
     watched, part = notes.watched, LoopPart
     siblings = watched(part.SIBLINGS, refit_siblings, lambda found, *_: bool(found))
-    admissible = watched(part.WAVES, acceptance.admissible, _left_out)
     return {
         gates: {
             "STOPS": [replace(s, refuses=watched(s.part, s.refuses, _said)) for s in gates.STOPS],
@@ -172,22 +139,23 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "is_usable": watched(part.BOUNDED, is_usable, lambda usable, *_: not usable),
         },
         moves: {
-            "REVISIONS": [notes.revision(each) for each in moves.REVISIONS],
-            "admissible": admissible,
             "refit_siblings": siblings,
-            "refit_switch_widths": watched(part.SWITCH_WIDTHS, refit_switch_widths, _wider),
-            "best_distinct": watched(part.BEAM, moves.best_distinct, _several),
+            "distinct": watched(part.BEAM, moves.distinct, lambda kept, *_: bool(kept)),
         },
-        free_curves: {"refit_siblings": siblings},
+        argument_functions: {"refit_siblings": siblings},
         search: {
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
             "choose": notes.chosen,
-            "revise": notes.revise,
-            "_was_local": watched(part.LOCAL_MINIMUM, search._was_local, _said),
+            "drop": watched(part.DROP, moves.drop, lambda left, _, begun, given: left is not given),
+            "release_widths": watched(
+                part.SWITCH_WIDTHS,
+                moves.release_widths,
+                lambda left, _, begun, given: left is not given,
+            ),
+            "curve_instead": watched(
+                part.FREE_CURVE, argument_functions.curve_instead, lambda end, *_: end is not None
+            ),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
-        },
-        free_curves.Merging: {
-            "instead": watched(part.MERGE, free_curves.Merging.instead, notes.merged)
         },
     }
 
@@ -207,19 +175,6 @@ def _said(answer: bool, *_: object) -> bool:
     return answer
 
 
-def _several(kept: tuple[Any, ...], _fitter: object, begun: Any, *_: object) -> bool:
-    """Whether structures beside the accepted one are grown."""
-    return any(fitted is not begun.model for fitted in kept)
-
-
 def _left_out(left: list[Any], _fitter: object, _current: object, contenders: list[Any]) -> bool:
     """Whether a filter has left out or moved anything."""
     return list(map(id, left)) != list(map(id, contenders))
-
-
-def _wider(
-    ranked: list[Any], _fitter: object, _begun: object, given: list[Any], *_: object
-) -> bool:
-    """Whether a width has become an unknown."""
-    known = set(map(id, given))
-    return any(id(each) not in known for each in ranked)

@@ -19,7 +19,7 @@ from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, ScreeningResult
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate
+from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     RoundStart,
@@ -175,7 +175,7 @@ def made_start(
     """A round that begins at the declared model, from which nothing has been grown yet."""
     prediction = LeaveOneOutPrediction(np.array([predicted]))
     return RoundStart(
-        base, base, prediction, screening, ModelCache(1.0), floor, LoopSettings(), False,
+        base, base, prediction, screening, floor, LoopSettings(), False,
         numerical=numerical,
     )  # fmt: skip
 

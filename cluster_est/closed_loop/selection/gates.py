@@ -70,6 +70,9 @@ class SelectionThresholds:
 
 SELECTION = SelectionThresholds()
 
+TRIED = 4
+"""Proposals of a round that are asked at most, where the first ones predict badly."""
+
 
 @dataclass(frozen=True)
 class Attempt:
@@ -270,7 +273,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
     """Return the best proposal that stays bounded and passes the gates.
 
     What fits best may predict badly, as a flexible law does. So where that is why it is refused,
-    the next best ones are asked, as many as the beam is wide.
+    a few of the next best are asked.
 
     Parameters
     ----------
@@ -291,7 +294,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         stopped |= {c.fitted.structure: filter_.part for c in left if id(c) not in known}
         left, why = kept, why if kept else filter_.reason
     refused: SelectionRound | None = None
-    tries = begun.settings.beam if begun.has(LoopPart.NEXT_BEST) else 1
+    tries = TRIED if begun.has(LoopPart.NEXT_BEST) else 1
     while left and tries:
         chosen = most_parsimonious(left)
         rest = [c for c in left if c is not chosen]

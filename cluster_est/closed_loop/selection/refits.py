@@ -10,7 +10,7 @@ g = b'c and the residual's shares x = b'r, y = c'r, both together carry
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import final
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
+from cluster_est.closed_loop.screening.screen import CandidateRanking
 from cluster_est.closed_loop.selection.linear_model import (
     NO_BOUND,
     REFINEMENT,
@@ -36,7 +36,6 @@ from cluster_est.closed_loop.selection.linear_model import (
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.statistics.records import StackedRecords
-from cluster_est.statistics.score import ScoreTests
 
 BRIEFLY = 1e-4
 """Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
@@ -126,10 +125,7 @@ def refit(
     floor: float,
     settings: LoopSettings,
     *,
-    wide: bool = True,
     further: bool = True,
-    known: Collection[frozenset[str]] = (),
-    done: Collection[frozenset[str]] = (),
     bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
@@ -140,47 +136,25 @@ def refit(
         The model that they are added to, and all candidates at it.
     floor
         Sum of squares that the noise alone would leave.
-    wide
-        Try all that the settings ask for; without, half as many.
     further
         Go on to candidates further back where the first do not close the gap to it: the larger an
         effect, the less the score of a small one says.
-    known
-        Structures that need no refit, because they were reached from another one: the next in the
-        ranking take their places.
-    done
-        Structures that were refitted from this model before: they keep their places.
     bound
         What a structure must come down to. What cannot is refitted no further.
     """
     count, trials = settings.refits, settings.trials
-    if not wide:
-        count, trials = (count + 1) // 2, (trials + 1) // 2
-    own = current.structure
-
-    def leading(scores: ScoreTests, most: int) -> list[int]:
-        ranked = ranking.leaders(scores, most + len(known))
-        names = [ranking.trials[i].candidate.effect.name for i in ranked]
-        new = [i for i, name in zip(ranked, names, strict=True) if own | {name} not in known]
-        return new[:most]
-
-    def is_done(i: int) -> bool:
-        return own | {ranking.trials[i].candidate.effect.name} in done
-
     growth = Growth(fitter, current, floor, bound)
-    leaders = leading(ranking.plain, 2 * trials)
-    white = leading(ranking.white, WHITE_LEADERS)
+    leaders = ranking.leaders(ranking.plain, 2 * trials)
+    white = ranking.leaders(ranking.white, WHITE_LEADERS)
     places = list(dict.fromkeys([*leaders[:trials], *white]))
-    first = [i for i in places if not is_done(i)]
-    count = max(count - (len(places) - len(first)), 0)
-    chosen, left = _mixed(first_steps(fitter, current, ranking, first, bound), count)
+    chosen, left = _mixed(first_steps(fitter, current, ranking, places, bound), count)
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
     near = growth.near_the_best([step.sse for step in chosen], possible)
     contenders = growth.refit_steps([chosen[i] for i in near])
     best = min((c.fitted.sse for c in contenders), default=current.sse)
     if not further or growth.closed_by(best):
         return contenders
-    later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
+    later = [i for i in leaders[trials:] if i not in places]
     left += first_steps(fitter, current, ranking, later, bound)
     left.sort(key=lambda step: step.sse)
     contenders += growth.refit_steps(left[:count])
@@ -403,85 +377,3 @@ def _start_of_pair(
         if not can_reach_with(fitter.records, current, left, added, bound):
             return None
     return start
-
-
-SAME_MODEL = 0.1
-"""Distance of two residuals, in standard deviations of one sample's noise, up to which they are
-those of one model: a statistic of 100 then changes by 2 at most."""
-
-
-@dataclass
-class CachedModel:
-    """A model that effects were added to, and what is known at it.
-
-    `ranking` is None where it was not kept; `grown` is what was refitted to convergence with one
-    effect more, by its structure.
-    """
-
-    fitted: FittedModel = field(repr=False)
-    ranking: CandidateRanking | None = field(default=None, repr=False)
-    grown: dict[frozenset[str], RefittedCandidate] = field(default_factory=dict, repr=False)
-
-
-@dataclass
-class ModelCache:
-    """The models that a search has added effects to, by their structures.
-
-    A revision takes effects out again, and so comes back to models that were ranked and grown
-    before. The rankings are kept where each takes a simulation for every candidate, as in
-    co-simulation and with process noise; where linear systems answer for all, one takes none and is
-    made again. Free curves are not kept: they are made anew for each model.
-
-    `noise` is the variance that it alone would leave; if it does not remember, all is done again.
-    """
-
-    noise: float
-    remembers: bool = True
-    _models: dict[frozenset[str], CachedModel] = field(default_factory=dict, repr=False)
-
-    def ranking(
-        self, fitter: Fitter, settings: LoopSettings, fitted: FittedModel
-    ) -> CandidateRanking:
-        """The ranking of the candidates at a model."""
-        known = self._at(fitted).ranking
-        if known is not None:
-            return known
-        return self.keep(fitter, fitted, rank(fitter, settings, fitted))
-
-    def keep(
-        self, fitter: Fitter, fitted: FittedModel, ranking: CandidateRanking
-    ) -> CandidateRanking:
-        """Keep the ranking of a model."""
-        kept = self.remembers and not fitter.by_linear_systems
-        self._at(fitted).ranking = ranking if kept else None
-        return ranking
-
-    def grown_from(self, fitted: FittedModel) -> list[RefittedCandidate]:
-        """What was refitted with one effect more than a model, which is counted last."""
-        return [
-            ending_with(contender, min(structure - fitted.structure))
-            for structure, contender in self._at(fitted).grown.items()
-        ]
-
-    def add(self, fitted: FittedModel, contenders: Collection[RefittedCandidate]) -> None:
-        """Add what was grown from a model; of one structure, the better one stays."""
-        if not self.remembers:
-            return
-        grown = self._at(fitted).grown
-        for contender in contenders:
-            known = grown.get(contender.fitted.structure, contender)
-            if contender.full and not contender.candidate.form.free:
-                best = min(known, contender, key=lambda c: c.criterion)
-                grown[contender.fitted.structure] = best
-
-    def _at(self, fitted: FittedModel) -> CachedModel:
-        """The model, if it still is where it was; else a new one in its place."""
-        known = self._models.get(fitted.structure)
-        if known is None or _far_apart(fitted, known.fitted, self.noise):
-            known = self._models[fitted.structure] = CachedModel(fitted)
-        return known
-
-
-def _far_apart(one: FittedModel, other: FittedModel, noise: float) -> bool:
-    distance = float(np.add.reduce((one.residuals - other.residuals) ** 2))
-    return distance > SAME_MODEL**2 * noise

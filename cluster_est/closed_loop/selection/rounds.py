@@ -14,7 +14,7 @@ from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, ScreeningResult, findings
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
-from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
+from cluster_est.closed_loop.selection.refits import RefittedCandidate, Rivals
 from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
 
@@ -101,7 +101,7 @@ class SelectionRound:
 
 @dataclass(frozen=True)
 class RoundStart:
-    """The structure that a round must improve on, and those that it grows from.
+    """The structure that a round grows, and must improve on.
 
     Attributes
     ----------
@@ -111,12 +111,8 @@ class RoundStart:
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
         Of all candidates at that model.
-    cache
-        The models that the search has added effects to.
     floor
         Sum of squares that the noise alone would leave.
-    beside
-        The structures that it was compared with in the round before.
     numerical
         Fall of the sum of squares that an effect could owe to the error of the solver.
     """
@@ -125,11 +121,9 @@ class RoundStart:
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction = field(repr=False)
     screening: ScreeningResult = field(repr=False)
-    cache: ModelCache = field(repr=False)
     floor: float
     settings: LoopSettings
     sigma_declared: bool
-    beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     numerical: float = 0.0
 
     def has(self, part: LoopPart) -> bool:
@@ -163,19 +157,6 @@ class RoundEnd:
 
 
 @dataclass(frozen=True)
-class Revised:
-    """A structure that has passed the gates, and what revisions made of it.
-
-    `rivals` are those of its effects, and perhaps of others; `move` is the last part of the search
-    that changed it.
-    """
-
-    model: FittedModel
-    rivals: Rivals
-    move: LoopPart | None = None
-
-
-@dataclass(frozen=True)
 class ComparedStructure:
     """A set of effects that was refitted: a row of structures.parquet.
 
@@ -193,7 +174,7 @@ class ComparedStructure:
     converged
         It was refitted to convergence; the others fell behind before.
     accepted
-        It passed every gate, or is what revision made of one that did.
+        It passed every gate, or is what was left of one that did once effects were dropped.
     relative_steps
         Steps of the solver over those of the declared model; NaN where they are not counted.
     probability
@@ -226,21 +207,17 @@ class ComparedStructure:
 
 @dataclass(frozen=True)
 class AcceptedStructure:
-    """A structure that was accepted, fitted, and the structures that it was compared with.
-
-    `rounds` counts those that led to it.
-    """
+    """A structure that was accepted, fitted; `rounds` counts those that led to it."""
 
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction
     rivals: Rivals = field(default_factory=dict, repr=False)
-    beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     rounds: int = 0
 
 
 @dataclass(frozen=True)
 class SelectionResult:
-    """The end of a beam search.
+    """The end of a search.
 
     Attributes
     ----------
@@ -255,8 +232,8 @@ class SelectionResult:
     path
         The structures that were compared, in the order of the rounds, the best of each first.
     accepted
-        The structures that passed the gates, and what revision made of them, the declared model
-        first.
+        The structures that passed the gates, and what was left of them once effects were dropped,
+        the declared model first.
     """
 
     base: FittedModel = field(repr=False)

@@ -11,7 +11,7 @@ import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 
-QUICK = {LoopPart.ADD, LoopPart.RESTARTS, LoopPart.PRUNING}
+QUICK = {LoopPart.ADD, LoopPart.DROP, LoopPart.PRUNING}
 
 
 def bent(times: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -63,17 +63,10 @@ def test_what_was_found_names_its_move_and_what_was_refused_its_gate(whole):
     assert {row["stopped_by"] for row in rows if row["accepted"]} == {""}
 
 
-@pytest.mark.parametrize(
-    ("part", "stage"),
-    [
-        (LoopPart.RESTARTS, LoopStage.OTHER_STARTS),
-        (LoopPart.DROP, LoopStage.DROP),
-        (LoopPart.LOCAL_MINIMUM, LoopStage.DECLARED_AGAIN),
-    ],
-)
-def test_a_part_that_is_left_out_simulates_nothing(lacking, whole, part, stage):
-    assert whole[1][stage.value] > 0
-    assert searched(lacking, part)[1][stage.value] == 0
+def test_a_part_that_is_left_out_simulates_nothing(lacking, whole):
+    assert whole[1][LoopStage.DROP.value] > 0
+    without = searched(lacking, LoopPart.DROP, LoopPart.ANSWER)
+    assert without[1][LoopStage.DROP.value] == 0
 
 
 def test_a_gate_that_is_left_out_refuses_nothing():
@@ -94,7 +87,7 @@ def test_a_dead_zone_needs_no_other_part_than_that_which_adds_it():
     width = 0.3 * LARGEST
     problem = driven_by(*(lambda t, f: dead(f, width) for _ in range(2)))
     few = ce.LoopSettings(sites=("input F",), forms=("dead_zone",), draws=200, pairs=False)
-    others = ("beam", "add two", "free curve", "siblings", "replace", "merge two", "merge", "drop")
+    others = ("add two", "exclude", "free curve", "siblings", "drop", "next best")
     results = [ce.close_loop(problem, settings=each) for each in (few, few.changed(without=others))]
     assert [effect.form for result in results for effect in result.effects] == 2 * ["dead_zone"]
     assert results[0].x == results[1].x

@@ -45,7 +45,7 @@ def test_a_wave_that_all_experiments_agree_on_is_found_with_its_period():
     assert effect.period == pytest.approx(2.0 * np.pi / 9.3, rel=0.01)
     strengths = {c.label.rpartition(".")[2]: c.value for c in effect.coefficients}
     assert np.hypot(strengths["a"], strengths["b"]) == pytest.approx(1.0, rel=0.02)
-    assert any("with one phase in all experiments" in said for said in effect.evidence)
+    assert any("and the same phase in all experiments" in said for said in effect.evidence)
     assert not any("too narrow" in note for note in found.notes)
 
 
@@ -152,7 +152,7 @@ def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
     problem = replace(problem, tables=tuple(sources))
     found = ce.close_loop(problem, settings=settings("der(v)", "coulomb", "cubic"))
     assert found.verdict == Verdict.UNEXPLAINED
-    assert "column 'gust_N' is not used and varies with it" in found.message
+    assert "the unused column 'gust_N' explains" in found.message
     assert [len(each.columns) for each in found.unexplained] == [1]
 
 

@@ -16,7 +16,7 @@ from support.loop_objects import (
 )
 
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.free_curves import coloured_criterion
+from cluster_est.closed_loop.selection.argument_functions import coloured_criterion
 from cluster_est.closed_loop.selection.gates import Attempt, coloured_noise_explains, first_refusal
 from cluster_est.closed_loop.selection.refits import PAIRS_REFITTED as FITTED
 from cluster_est.closed_loop.selection.refits import best_pairs

@@ -1,43 +1,53 @@
-"""Free curves: functions of no form of the library, as pairs of places and values.
+"""Other functions of an argument: the forms of the library, and free curves.
 
-A curve fits what several named effects would only patch, and explains nothing. So it is tried where
-no named effect is accepted, and at the end of a search in the place of all that was. A search ends
-with it: what it leaves is partly its own error, which named effects would only patch.
+A score sees a small step from a model that lacks the effect. Where the effect is large the motion
+with it is another one, on which two functions differ that looked alike before, and the shortlist
+may have held the wrong one. So once a candidate has been refitted, the other functions of its
+argument (sibling forms) are compared with it along the trajectory that it has led to, by linear
+algebra, and those that could do the same are refitted from there.
 
-A curve also leads to a name: the score of a small effect may be low where a large one acts, but
-along the trajectory that a curve has come to, functions of its argument are easily told apart. And
-it leads to one effect in the place of several: the first step of a large effect may point anywhere,
-so that several small ones patch what one large one does. A curve that is refitted from coarse to
-fine finds its way to it.
+A free curve is a function of no form of the library: pairs of places and values. It fits what
+several named effects would only patch, and explains nothing. So it is tried where no named effect
+is accepted, and at the end of a search in the place of all that were, if they may not be claimed.
+A search ends with one that does most of it: what it leaves is partly its own error, which named
+effects would only patch. A curve also leads to names, the siblings of the one that fits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import final
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import finer_form, refined
+from cluster_est.closed_loop.candidates.make import (
+    EffectCandidate,
+    denser_grid,
+    finer_form,
+    refined,
+)
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import (
     SCREENING,
     CandidateRanking,
+    candidate_columns,
     leading_places,
     place_of,
     rank_curves,
 )
 from cluster_est.closed_loop.selection.acceptance import can_be_linearised
-from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
+from cluster_est.closed_loop.selection.gates import SELECTION, choose
 from cluster_est.closed_loop.selection.linear_model import (
     NO_BOUND,
     REFINEMENT,
     PruningBound,
     can_reach,
     first_steps,
+    is_proportional,
+    values_at,
 )
-from cluster_est.closed_loop.selection.neighbours import refit_siblings, starts_in_its_place
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
@@ -50,11 +60,12 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     can_be_claimed,
     claimable_sse,
-    leaves_more_than_noise,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression
+from workers.messages import FloatArray
 
 
 def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
@@ -210,108 +221,44 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
     return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
 
 
-@final
-@dataclass
-class Merging:
-    """The move that puts a single effect in the place of all that were added, once a search.
+def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> RoundEnd | None:
+    """Return a round that a single effect has won in the place of all; None if they stay.
 
-    Attributes
+    Only where they may not be claimed. It is a free curve, or a form of the library to which one
+    leads. It must fit better, also if what is left is noise as coloured as it looks, and predict
+    better; a curve must fit better by the price of a choice among all pairs.
+
+    Parameters
     ----------
     first
         The start of the first round.
-    curves, named
-        What may take their place, refitted to the declared model: free curves, once they have been
-        looked for, and forms of the library of the argument of the best of them.
-    fine, switched
-        Finer curves have been refitted too, where those led on, and those of a switch.
-    done
-        An effect has taken their place.
+    now
+        What the search has come to, which no larger structure improves.
     """
-
-    first: RoundStart | None = None
-    curves: list[RefittedCandidate] | None = None
-    named: list[RefittedCandidate] = field(default_factory=list)
-    fine: bool = False
-    switched: bool = False
-    done: bool = False
-
-    def note(self, begun: RoundStart, end: RoundEnd) -> None:
-        """Note the first round, and curves that have been tried there and did not pass."""
-        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
-        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
-            self.curves, self.fine, self.switched = [], True, True
-
-    def instead(
-        self, fitter: Fitter, now: AcceptedStructure, *, whole: bool = False
-    ) -> RoundEnd | None:
-        """Return a round that a single effect has won in the place of all; None if they stay.
-
-        It must fit better, also if what is left is noise as coloured as it looks, and predict
-        better. A curve must fit better by the price of a choice among all pairs, and waits for two
-        effects: as a function of one argument, it imitates every sum of two that have this one.
-
-        Parameters
-        ----------
-        whole
-            Take only what leaves no more than noise.
-        """
-        first, current = self.first, now.model
-        if self.done or first is None or not _may_be_single(first, current):
-            return None
-        curves = self._refitted_curves(fitter, first, current, whole=whole)
-        price = SELECTION.pair_price * float(np.log(first.screening.count))
-
-        def fits_better(contender: RefittedCandidate, least: float) -> bool:
-            if contender.candidate.form.free and whole and len(current.added) < 2:
-                return False
-            if whole and leaves_more_than_noise(contender.fitted, first.floor):
-                return False
-            return min(criterion_falls(fitter.records, current, contender.fitted)) > least
-
-        for contenders, least in ((self.named, 0.0), (curves, price)):
-            if not any(fits_better(contender, least) for contender in contenders):
-                continue  # the gates cost simulations
-            end = choose(fitter, first, contenders)
-            if end.won is None or end.prediction is None or not fits_better(end.won, least):
-                continue
-            if end.prediction.total < now.prediction.total:
-                self.done = True
-                return end
-        return None
-
-    def _refitted_curves(
-        self, fitter: Fitter, first: RoundStart, current: FittedModel, *, whole: bool
-    ) -> list[RefittedCandidate]:
-        """Refit the single effects that could fit better than a structure does.
-
-        Curves are made finer only where they may be taken, and where there is something to be
-        gained: one or two effects leave more than noise, or three look like patches. The curve of a
-        switch is among them where nothing found may be claimed.
-        """
-        if self.curves is None:
-            self.curves = coarse_curves(fitter, first)
-            self.named = refit_named(fitter, first, self.curves)
-        early = whole and len(current.added) < 2
-        gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
-        coarse: list[RefittedCandidate] = []
-        if not self.fine and gains and not early:
-            coarse, self.fine = list(self.curves), True
-        if not self.switched and gains and not whole and not can_be_claimed(first, current):
-            switched, self.switched = switched_curves(fitter, first), True
-            self.curves += switched
-            coarse += switched
-        if coarse:
-            bound = first.bound(criterion=current.criterion(fitter.records))
-            self.curves += finer_curves(fitter, first, coarse, bound)
-            self.curves.sort(key=lambda c: c.criterion)
-        return self.curves
-
-
-def _may_be_single(first: RoundStart, current: FittedModel) -> bool:
-    """Return whether the effects are several or leave more than noise, and something is missing."""
-    patched = len(current.added) > 1 or leaves_more_than_noise(current, first.floor)
+    current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
-    return first.has(LoopPart.MERGE) and patched and not free and reason_to_stop(first) is None
+    if free or can_be_claimed(first, current) or not first.has(LoopPart.FREE_CURVE):
+        return None
+    coarse = coarse_curves(fitter, first)
+    named = refit_named(fitter, first, coarse)
+    coarse += switched_curves(fitter, first)
+    bound = first.bound(criterion=current.criterion(records))
+    finer = finer_curves(fitter, first, coarse, bound)
+    curves = sorted([*coarse, *finer], key=lambda c: c.criterion)
+    price = SELECTION.pair_price * float(np.log(first.screening.count))
+
+    def fits_better(contender: RefittedCandidate, least: float) -> bool:
+        return min(criterion_falls(records, current, contender.fitted)) > least
+
+    for contenders, least in ((named, 0.0), (curves, price)):
+        if not any(fits_better(contender, least) for contender in contenders):
+            continue  # the gates cost simulations
+        end = choose(fitter, first, contenders)
+        if end.won is None or end.prediction is None or not fits_better(end.won, least):
+            continue
+        if end.prediction.total < now.prediction.total:
+            return end
+    return None
 
 
 def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:
@@ -332,3 +279,128 @@ def criterion_falls(
     order = SCREENING.autoregression
     coloured = [coloured_criterion(fitted, records, order) for fitted in (before, after)]
     return before.criterion(records) - after.criterion(records), coloured[0] - coloured[1]
+
+
+def refit_siblings(
+    fitter: Fitter,
+    begun: RoundStart,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    contenders: Sequence[RefittedCandidate],
+) -> list[RefittedCandidate]:
+    """Refit other functions of the argument of the best contender, from where that one stands.
+
+    In co-simulation, where nothing is known along the way, nothing is compared.
+
+    Parameters
+    ----------
+    current, ranking
+        The model that candidates are added to, and all candidates at it.
+    contenders
+        Refitted candidates, the best first. Those that converged are not refitted again.
+    """
+    if not begun.has(LoopPart.SIBLINGS) or not fitter.by_linear_systems:
+        return []
+    if not contenders or not contenders[0].full:
+        return []
+    best = contenders[0]
+    done = {c.candidate.effect.name for c in contenders if c.full}
+    named = {t.candidate.effect.name: t.candidate for t in ranking.trials}
+    rivals = [candidate for candidate in named.values() if _is_rival(candidate, best, done)]
+    if not rivals or not can_be_linearised(fitter, best.fitted):
+        return []
+    trajectories = fitter.trajectories(best.fitted)
+    trials = [
+        CandidatePoint(candidate, values)
+        for candidate in rivals
+        for values in denser_grid(candidate, trajectories)
+    ]
+    starts = starts_in_its_place(fitter, current, best, trials, REFINEMENT.finalists)
+    fits = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    brief = best_first(fitter.records, fits, LoopPart.SIBLINGS, full=False)
+    most = best.criterion + REFINEMENT.alternative
+    near = refit_fully(fitter, [c.fitted for c in brief if c.criterion < most])
+    far = [c for c in brief if c.criterion >= most]
+    return [*best_first(fitter.records, near, LoopPart.SIBLINGS), *far]
+
+
+def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
+    """Return whether it is a function of the same argument; without one, at the same site."""
+    own = best.candidate
+    if candidate.form.free or candidate.effect.name in done:
+        return False
+    same = candidate.effect.variables == own.effect.variables
+    return same and bool(own.effect.variables or candidate.site == own.site)
+
+
+def starts_in_its_place(
+    fitter: Fitter,
+    current: FittedModel,
+    best: RefittedCandidate,
+    trials: Sequence[CandidatePoint],
+    most: int,
+) -> list[FitStart]:
+    """Return the best candidate's model with the likeliest others in its place, at most some.
+
+    Along its trajectory, what they should do is what it does and what it leaves; those that could
+    not do as much are left out. `current` is the model that it was added to.
+    """
+    fitted = best.fitted
+    name, values = best.candidate.effect.name, fitted.coefficients(best.candidate)
+    own = CandidatePoint(best.candidate, best.candidate.point(values))
+    columns = candidate_columns(fitter, fitted, _before(fitter, current, best), [own, *trials])
+    strengths = best.candidate.sizes(values)
+    target = columns[0] @ np.array(strengths or [1.0]) - fitted.residuals
+    labels = [unknown.label for unknown in fitted.space.unknowns]
+    others = [i for i, label in enumerate(labels) if not label.startswith(f"{name}.")]
+    projection = OrthogonalProjection(fitted.jacobian[:, others])
+    target = projection.remove(target)
+    without = fitted.start.minus(len(fitted.added) - 1)
+    found: dict[str, tuple[float, FitStart]] = {}
+    for trial, column in zip(trials, columns[1:], strict=True):
+        share, sizes = explained_share(
+            target, projection.remove(column), free=is_proportional(trial)
+        )
+        rival = trial.candidate
+        if share > found.get(rival.effect.name, (REFINEMENT.explains,))[0]:
+            start = without.plus(rival, values_at(trial, sizes))
+            found[rival.effect.name] = share, start
+    ranked = sorted(found.values(), key=lambda each: -each[0])
+    return [start for _, start in ranked[:most]]
+
+
+def explained_share(
+    target: FloatArray, columns: FloatArray, *, free: bool
+) -> tuple[float, FloatArray]:
+    """Return the share of a target's squares that columns explain, and the strength of each.
+
+    If not `free` to be scaled, they count as they are and have no strengths.
+    """
+    lengths = np.linalg.norm(columns, axis=0)
+    whole = float(np.add.reduce(target**2))
+    if not whole > 0.0 or not (lengths > 0.0).all():
+        return 0.0, np.zeros(columns.shape[1] if free else 0)
+    if not free:
+        return 1.0 - float(np.add.reduce((target - columns[:, 0]) ** 2)) / whole, np.zeros(0)
+    sizes = np.linalg.lstsq(columns / lengths, target, rcond=1e-6)[0] / lengths
+    return 1.0 - float(np.add.reduce((target - columns @ sizes) ** 2)) / whole, sizes
+
+
+def _before(
+    fitter: Fitter, current: FittedModel, best: RefittedCandidate
+) -> list[LinearisedTrajectory]:
+    """Trajectories with the best candidate; an input at which it acts is as it was before it."""
+    trajectories = fitter.trajectories(best.fitted)
+    site = best.candidate.site
+    if site.kind != "input":
+        return trajectories
+    return [
+        replace(
+            new,
+            signals={
+                **new.signals,
+                site.target: np.interp(new.times, old.times, old.signals[site.target]),
+            },
+        )
+        for new, old in zip(trajectories, fitter.trajectories(current), strict=True)
+    ]
