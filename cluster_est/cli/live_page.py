@@ -26,7 +26,7 @@ SECONDS_OF_LAST_LOOK = 3.0
 
 @contextmanager
 def page_beside(folder: Path, *, allow_code: bool) -> Iterator[None]:
-    """Serve the page of a run while it goes on."""
+    """Serve the page of a run while it is running."""
     page = LivePage(folder, allow_code=allow_code)
     with page, _opened(page.address):
         yield

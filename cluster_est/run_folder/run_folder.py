@@ -63,7 +63,7 @@ class RunResult(Protocol):
 
 
 class RunFolder:
-    """Writes a run while it goes on.
+    """Writes a run while it is running.
 
     Parameters
     ----------

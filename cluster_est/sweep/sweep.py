@@ -162,7 +162,7 @@ def sweep(
     tell
         Called with a line for each run that ended.
     listener
-        Hears of each run while it goes on.
+        Hears of each run while it is running.
     retry_failed
         Try again what failed, even if nothing has changed.
     allow_code

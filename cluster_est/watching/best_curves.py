@@ -82,7 +82,7 @@ class ExperimentCurves:
 
 
 class CurveSource:
-    """Gives the curves of a run while it goes on and afterwards.
+    """Gives the curves of a run while it is running and afterwards.
 
     Parameters
     ----------
