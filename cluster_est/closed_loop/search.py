@@ -5,7 +5,7 @@
         for each move: propose structures, choose the best that passes all gates
         if there is none: stop
         model = the best, without effects that no longer pay
-    if the model may not be claimed: try a free curve in the place of all effects
+    if the model leaves more than noise: try a free curve in the place of all effects
     model = the accepted one that predicts best what is left out of refits
     judge the model
 

@@ -59,13 +59,13 @@ benchmark, in addition to those that it lists.
 """
 
 DELETED = """\
-Without these parts as many cases are right, with far fewer simulations. They are: other structures
-of the same size that were extended beside the best one ("beam"; what is left of it extends single
-effects to pairs if none is accepted), fits of an accepted structure from other starts ("restarts"),
-a second look at the declared model ("local minimum"), an effect replaced by another one ("replace")
-or two replaced by one ("merge two"), one effect or a free curve instead of all others even if these
-explain the data ("merge"; if they do not, this is still tried), and the widths of switches as
-unknowns ("switch widths").
+These parts were deleted together. They are: other structures of the same size that were extended
+beside the best one ("beam"; what is left of it extends single effects to pairs if none is
+accepted), fits of an accepted structure from other starts ("restarts"), a second look at the
+declared model ("local minimum"), an effect replaced by another one ("replace") or two replaced by
+one ("merge two"), and one effect or a free curve instead of all others even if these explain the
+data ("merge"; if they do not, this is still tried). The widths of switches are estimated for the
+accepted structure only; before, they were estimated for the best candidates of each round.
 """
 
 

@@ -8,9 +8,9 @@ algebra, and those that could do the same are refitted from there.
 
 A free curve is a function of no form of the library: pairs of places and values. It fits what
 several named effects would only patch, and explains nothing. So it is tried where no named effect
-is accepted, and at the end of a search in the place of all that were, if they may not be claimed.
-A search ends with one that does most of it: what it leaves is partly its own error, which named
-effects would only patch. A curve also leads to names, the siblings of the one that fits.
+is accepted, and at the end of a search in the place of all that were, if they leave more than
+noise. A search ends with one that does most of it: what it leaves is partly its own error, which
+named effects would only patch. A curve also leads to names, the siblings of the one that fits.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     RoundEnd,
     RoundStart,
-    can_be_claimed,
     claimable_sse,
+    leaves_more_than_noise,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.projection import OrthogonalProjection
@@ -224,7 +224,7 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
 def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> RoundEnd | None:
     """Return a round that a single effect has won in the place of all; None if they stay.
 
-    Only where they may not be claimed. It is a free curve, or a form of the library to which one
+    Only where they leave more than noise. It is a free curve, or a form of the library to which one
     leads. It must fit better, also if what is left is noise as coloured as it looks, and predict
     better; a curve must fit better by the price of a choice among all pairs.
 
@@ -237,7 +237,8 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     """
     current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
-    if free or can_be_claimed(first, current) or not first.has(LoopPart.FREE_CURVE):
+    left = leaves_more_than_noise(current, first.floor)
+    if free or not left or not first.has(LoopPart.FREE_CURVE):
         return None
     coarse = coarse_curves(fitter, first)
     named = refit_named(fitter, first, coarse)
