@@ -318,6 +318,6 @@ def _held_widths(model: FittedModel) -> dict[str, Parameter]:
         for c, values in zip(candidate.form.coefficients, columns, strict=True):
             held = known.get(f"{candidate.effect.name}.{c.name}")
             if held is not None and c.scale is GridScale.RMS_V:
-                bounds = min(values), held.upper
+                bounds = min(*values, held.start), held.upper  # a start may be below by rounding
                 found[held.name] = replace(held, fixed=False, bounds=bounds, scale="log")
     return found
