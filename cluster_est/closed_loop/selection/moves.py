@@ -140,7 +140,7 @@ def _grown(
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(found, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
-    return list(best.values())
+    return with_widths(fitter, begun, list(best.values()))
 
 
 def _leaves_much(begun: RoundStart) -> bool:
@@ -267,13 +267,37 @@ def drop(fitter: Fitter, begun: RoundStart, model: FittedModel) -> FittedModel:
     return model
 
 
-def release_widths(fitter: Fitter, begun: RoundStart, model: FittedModel) -> FittedModel:
+def with_widths(
+    fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """Return contenders, the best few with the widths of their switches where that pays.
+
+    Only those that may come near the best by it. A form without a width would else win over one
+    whose width is wrong.
+    """
+    most = min((c.criterion for c in contenders), default=np.inf) + REFINEMENT.alternative
+    found = []
+    for number, contender in enumerate(contenders):
+        model = contender.fitted
+        if number < REFINEMENT.finalists:
+            model = release_widths(fitter, begun, model, most)
+        if model is not contender.fitted:
+            criterion = model.criterion(fitter.records)
+            contender = RefittedCandidate(model, criterion, True, LoopPart.SWITCH_WIDTHS)
+        found.append(contender)
+    return sorted(found, key=lambda c: c.criterion)
+
+
+def release_widths(
+    fitter: Fitter, begun: RoundStart, model: FittedModel, most: float = np.inf
+) -> FittedModel:
     """Refit a structure with the widths of its switches as unknowns, where that pays.
 
     A dry friction is a switch; a simulation needs it to have a width. How wide matters little where
     the friction is small against the noise, so a search holds it. Where the friction is large the
     width is seen, and what a wrong one leaves would be patched with further effects. Each of some
-    widths is simulated, and the linear model says how the other unknowns follow.
+    widths is simulated, and the linear model says how the other unknowns follow. What cannot come
+    down to a criterion of `most` is not refitted.
     """
     held = _held_widths(model)
     if not held or not begun.has(LoopPart.SWITCH_WIDTHS):
@@ -297,12 +321,13 @@ def release_widths(fitter: Fitter, begun: RoundStart, model: FittedModel) -> Fit
         return model
     _, after, point = min(found, key=lambda each: each[0])
     left = shares_left(fitter.records, model.residuals, after)
-    bound = PruningBound(criterion=model.criterion(fitter.records))
+    own = model.criterion(fitter.records)
+    bound = PruningBound(criterion=min(own, most))
     if not can_reach_with(fitter.records, model, left, len(held), bound):
         return model
     best = replace(start, values={**start.values, **space.estimates(point)})
     (fit,) = fitter.fit(LoopStage.REFITS, [best], full_refit(fitter))
-    return fit if fit is not None and fit.criterion(fitter.records) < bound.criterion else model
+    return fit if fit is not None and fit.criterion(fitter.records) < own else model
 
 
 def _held_widths(model: FittedModel) -> dict[str, Parameter]:

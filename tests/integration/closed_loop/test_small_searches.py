@@ -121,9 +121,7 @@ def test_what_was_found_beside_such_a_drift_is_judged_without_it():
     problem = driven_by(
         *(lambda t, f, s=s: dead(f, 0.3 * LARGEST) + 0.3 * t + gusts(s, 0.1) for s in (1, 2))
     )
-    few = ce.LoopSettings(
-        sites=("der(v)", "input F"), forms=("dead_zone", "drift"), draws=200, pairs=False
-    )
+    few = ce.LoopSettings(sites=("der(v)", "input F"), forms=("dead_zone", "drift"), draws=200)
     found = ce.close_loop(problem, settings=few)
     assert found.verdict == Verdict.UNEXPLAINED
     assert "drift at der(v) would leave more than noise and was not added" in found.message

@@ -98,7 +98,7 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     assert f"estimated over {span}; extrapolated outside" in readme
     assert read_config(run / "config.toml").model.rtol is None  # what the solver then takes
     assert float(read_model_description(str(fmu)).defaultExperiment.tolerance) == 1e-8
-    assert "the run had a relative tolerance of 1e-08" in " ".join(readme.split())
+    assert "The run had a relative tolerance of 1e-08" in " ".join(readme.split())
     errors = {row["experiment"]: row for row in rows(run, "errors")}
     for name, row in errors.items():
         sizes = f"{row['rmse_before']:.4g} | {row['rmse_after']:.4g}"
