@@ -64,8 +64,7 @@ beside the best one ("beam"; what is left of it extends single effects to pairs 
 accepted), fits of an accepted structure from other starts ("restarts"), a second look at the
 declared model ("local minimum"), an effect replaced by another one ("replace") or two replaced by
 one ("merge two"), and one effect or a free curve instead of all others even if these explain the
-data ("merge"; if they do not, this is still tried). The widths of switches are estimated for the
-accepted structure only; before, they were estimated for the best candidates of each round.
+data ("merge"; if they leave more than noise, this is still tried).
 """
 
 
