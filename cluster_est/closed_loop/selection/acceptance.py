@@ -72,7 +72,7 @@ BETTER_PARTS = 2.0 / 3.0
 """Share of the parts left out that a structure must predict better, of those that tell any
 difference. By definition: most of them."""
 TOLD_APART = 0.01
-"""Difference of a part's squares, over the mean of the parts, below which it tells none. By
+"""Difference of a part's squares, over the mean of the parts before, below which it tells none. By
 definition: an effect that acts in few parts changes nothing in the others."""
 
 
@@ -112,7 +112,7 @@ class LeaveOneOutPrediction:
         if self.closes(other) <= 0.0:
             return False
         change = self.squares - other.squares
-        told = np.abs(change) > TOLD_APART * max(self.total, other.total) / len(change)
+        told = np.abs(change) > TOLD_APART * other.total / len(change)
         return bool(np.mean(change[told] < 0.0) >= BETTER_PARTS) if told.any() else False
 
 

@@ -10,7 +10,7 @@ say `split="tune"`, never on the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -314,6 +314,9 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         stopped[chosen.fitted.structure] = failed.part
         refused, left = refused or seen, rest
         tries = tries - 1 if failed.part in OF_ONE_STRUCTURE else 0
+    if refused is not None and refused.coloured:
+        others = (c for c in ranked if not coloured_noise_explains(fitter.records, begun, c))
+        refused = replace(refused, coloured=next(others, None) is None)
     return RoundEnd(refused or SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
 
 

@@ -88,7 +88,7 @@ class SelectionRound:
 
     `why` nothing was added is None where something was. `gain` is that of the criterion, `closed`
     the share of the gap to the noise that was closed, `coloured` whether autocorrelated noise would
-    explain as much as the best contender did.
+    explain as much as the contender that won, or as each one where none did.
     """
 
     screening: ScreeningResult = field(repr=False)
