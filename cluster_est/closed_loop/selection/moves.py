@@ -106,7 +106,8 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
     found = {c.fitted.structure: c for c in pairs}
-    for parent in _parents(fitter, begun, best, pairs):
+    grows = begun.has(LoopPart.BEAM) and leaves_more_than_noise(begun.model, begun.floor)
+    for parent in distinct(fitter, begun, best.compared) if grows and best.won is None else ():
         if can_be_linearised(fitter, parent):
             ranking = rank(fitter, begun.settings, parent)
             most = min((c.criterion for c in found.values()), default=np.inf)
@@ -115,27 +116,6 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
                 if each.criterion < known.criterion:
                     found[each.fitted.structure] = each
     return sorted(found.values(), key=lambda c: c.criterion)
-
-
-def _parents(
-    fitter: Fitter, begun: RoundStart, best: RoundEnd, pairs: Sequence[RefittedCandidate]
-) -> list[FittedModel]:
-    """Return the structures with one effect more that are grown to pairs.
-
-    Where a pair of directions is better than all single effects, these are its own two, each
-    without the other: of a direction the first step hardly tells which form it is.
-    """
-    if not begun.has(LoopPart.BEAM) or not leaves_more_than_noise(begun.model, begun.floor):
-        return []
-    found = [] if best.won else distinct(fitter, begun, best.compared)
-    single = min((c.criterion for c in best.compared), default=np.inf)
-    if pairs and pairs[0].full and pairs[0].criterion < single:
-        size = len(begun.model.added)
-        starts = [pairs[0].fitted.start.minus(size + i) for i in range(2)]
-        fits = fitter.fit(LoopStage.REFITS, starts, full_refit(fitter))
-        known = {f.structure for f in found}
-        found += [f for f in fits if f is not None and f.structure not in known]
-    return found
 
 
 def _grown(
