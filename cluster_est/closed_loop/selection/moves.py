@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
+from cluster_est.closed_loop.screening.screen import CandidateRanking, place_of, rank
 from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.argument_functions import (
     criterion_falls,
@@ -27,12 +27,14 @@ from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     PruningBound,
     can_reach_with,
+    first_steps,
     gauss_newton_step,
     shares_left,
 )
 from cluster_est.closed_loop.selection.refits import (
     ALIKE,
     SHORT,
+    Growth,
     RefittedCandidate,
     best_first,
     full_refit,
@@ -98,7 +100,8 @@ def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandi
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose two effects more: from pairs of directions, and grown from single ones.
 
-    A pair of directions is the first step of both. Where each effect is large, the second one is
+    A pair of directions is the first step of both, which hardly tells forms at one place apart. So
+    the forms at the places of the best pair are compared again, each beside the other. Where each effect is large, the second one is
     seen only at the model with the first, so where no single one passes the best are grown: a beam
     search of width `BEAM` (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon
     University, 1976).
@@ -106,6 +109,8 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
     found = {c.fitted.structure: c for c in pairs}
+    for other in _other_forms(fitter, begun, pairs[0], bound) if pairs else ():
+        found.setdefault(other.fitted.structure, other)
     grows = begun.has(LoopPart.BEAM) and leaves_more_than_noise(begun.model, begun.floor)
     for parent in distinct(fitter, begun, best.compared) if grows and best.won is None else ():
         if can_be_linearised(fitter, parent):
@@ -116,6 +121,29 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
                 if each.criterion < known.criterion:
                     found[each.fitted.structure] = each
     return sorted(found.values(), key=lambda c: c.criterion)
+
+
+def _other_forms(
+    fitter: Fitter, begun: RoundStart, pair: RefittedCandidate, bound: PruningBound
+) -> list[RefittedCandidate]:
+    """Refit other forms at the places of a pair, those of each effect at the model without it."""
+    found: list[RefittedCandidate] = []
+    model = pair.fitted
+    positions = range(len(begun.model.added), len(model.added)) if pair.full else ()
+    for position in positions if begun.has(LoopPart.SIBLINGS) else ():
+        (rest,) = fitter.fit(LoopStage.REFITS, [model.start.minus(position)], full_refit(fitter))
+        if rest is None or not can_be_linearised(fitter, rest):
+            continue
+        ranking, place = rank(fitter, begun.settings, rest), place_of(model.added[position])
+        trials = [trial.candidate for trial in ranking.trials]
+        there = [
+            i
+            for i in ranking.leaders(ranking.plain, len(trials))
+            if place_of(trials[i]) == place and trials[i].effect.name not in model.structure
+        ]
+        steps = first_steps(fitter, rest, ranking, there[: begun.settings.refits], bound)
+        found += Growth(fitter, rest, begun.floor, bound).refit_steps(steps)
+    return proposed_by(LoopPart.SIBLINGS, found)
 
 
 def _grown(
