@@ -101,10 +101,10 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     """Propose two effects more: from pairs of directions, and grown from single ones.
 
     A pair of directions is the first step of both, which hardly tells forms at one place apart. So
-    the forms at the places of the best pair are compared again, each beside the other. Where each effect is large, the second one is
-    seen only at the model with the first, so where no single one passes the best are grown: a beam
-    search of width `BEAM` (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon
-    University, 1976).
+    the forms at the places of the best pair are compared again, each beside the other. Where each
+    effect is large, the second one is seen only at the model with the first. So where no single one
+    passes, the best are grown: a beam search of width `BEAM` (B. T. Lowerre, The HARPY Speech
+    Recognition System, Carnegie Mellon University, 1976).
     """
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
