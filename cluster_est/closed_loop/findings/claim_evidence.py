@@ -107,7 +107,12 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
         f"{label} {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
         for label, own in known
     ]
-    return f"probability that place and kind are right: {in_a_row(said)}"
+    text = f"probability that place and kind are right: {in_a_row(said)}"
+    leads = [label for label, own in known if not own.claimed]
+    if not leads:
+        return text
+    what = "a lead, not a claim" if len(leads) == 1 else "leads, not claims"
+    return f"{text}; {in_a_row(leads)}: {what}"
 
 
 def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:

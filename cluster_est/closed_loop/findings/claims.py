@@ -138,6 +138,9 @@ LEAVES_MUCH = 1.5
 """Error over the noise from which a claim is doubtful. By definition: what "found" may leave."""
 CHOSEN = 1.0
 """Share of the resamplings where it is not known. Benchmark: the median of all claims."""
+CLAIMED = 0.5
+"""Probability below which an effect is not claimed. By definition: it is more likely wrong than
+right."""
 FEW = 40
 """Claims of the benchmark below which it is said that there are few. By definition."""
 
@@ -179,6 +182,11 @@ class Claim:
     sentence: str
     evidence: ClaimEvidence
 
+    @property
+    def claimed(self) -> bool:
+        """Return whether it is more likely right than wrong; else it is a lead."""
+        return self.probability >= CLAIMED
+
 
 def figures(evidence: ClaimEvidence) -> tuple[float, float, float, float]:
     """Return what the weights `fewer`, `clean`, `apart` and `chosen` multiply."""
@@ -215,6 +223,8 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
         f"place and kind are right with a probability of {percent(probability)}: "
         f"{_of_alike(alike, called)}"
     )
+    if probability < CLAIMED:
+        said = f"this is a lead, not a claim: {said}"
     return Claim(probability, said, evidence)
 
 

@@ -131,6 +131,11 @@ class NamedEffect:
         return self.effect.name
 
     @property
+    def claimed(self) -> bool:
+        """Return whether it is more likely right than wrong; else it is a lead that fits."""
+        return self.claim is None or self.claim.claimed
+
+    @property
     def site(self) -> str:
         return self.effect.site
 

@@ -330,6 +330,7 @@ def _effect_facts(effect: NamedEffect) -> dict[str, Any]:
         "name": effect.name,
         **_named(effect),
         "sentence": effect.sentence,
+        "claimed": effect.claimed,
         "claim": None if effect.claim is None else dataclasses.asdict(effect.claim),
         "also": [dataclasses.asdict(a) for a in effect.also],
         "period": effect.period,

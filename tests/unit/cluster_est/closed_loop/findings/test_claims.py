@@ -72,9 +72,10 @@ def test_a_claim_in_doubt_is_no_surer_than_those_of_the_benchmark(doubt):
     sure = replace(KNOWN, intercept=50.0)
     found = claim(replace(EVIDENCE, **doubt), sure)
     assert found.probability == pytest.approx(10 / 23)
+    assert not found.claimed
     assert found.sentence == (
-        "place and kind are right with a probability of 43 %: of 21 equally doubtful claims in the "
-        "benchmark (a small number), 9 were right"
+        "this is a lead, not a claim: place and kind are right with a probability of 43 %: of 21 "
+        "equally doubtful claims in the benchmark (a small number), 9 were right"
     )
     doubted = claim(replace(EVIDENCE, left=40.0, effects=4), replace(KNOWN, intercept=-3.0))
     assert doubted.probability < 10 / 23
@@ -180,6 +181,10 @@ def test_the_summary_says_how_sure_each_effect_is():
     said = how_sure(found, claimed=True)
     assert said.startswith("probability that place and kind are right: coulomb at der(v) ")
     assert said.endswith("(its place)")
+    loud = replace(HELD_OUT, normalised_after=9.0)
+    doubtful = with_claims([FRICTION], [ERROR, loud], ROWS, declared=True, claimed=True)
+    assert not doubtful[0].claimed
+    assert how_sure(doubtful, claimed=True).endswith("; coulomb at der(v): a lead, not a claim")
     leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, declared=True, claimed=False)
     assert how_sure(leads, claimed=False).startswith(
         "coulomb at der(v) and gain at output y: this is a lead"
