@@ -126,11 +126,15 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
 def _other_forms(
     fitter: Fitter, begun: RoundStart, pair: RefittedCandidate, bound: PruningBound
 ) -> list[RefittedCandidate]:
-    """Refit other forms at the places of a pair, those of each effect at the model without it."""
+    """Refit other forms at the places of a pair, those of each effect at the model without it.
+
+    Only where the pair does enough for a claim: of what it leaves, other forms change little.
+    """
+    if not begun.has(LoopPart.SIBLINGS) or not can_be_claimed(begun, pair.fitted):
+        return []
     found: list[RefittedCandidate] = []
     model = pair.fitted
-    positions = range(len(begun.model.added), len(model.added)) if pair.full else ()
-    for position in positions if begun.has(LoopPart.SIBLINGS) else ():
+    for position in range(len(begun.model.added), len(model.added)):
         (rest,) = fitter.fit(LoopStage.REFITS, [model.start.minus(position)], full_refit(fitter))
         if rest is None or not can_be_linearised(fitter, rest):
             continue
