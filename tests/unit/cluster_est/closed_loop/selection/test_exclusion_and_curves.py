@@ -162,10 +162,35 @@ def test_where_the_best_predicts_badly_the_next_best_is_asked(
     assert (end.seen.why is None) == (chosen is not None)
 
 
-def test_no_quarter_of_a_record_decides_alone():
-    """The first is extrapolated, and has 95 % of the squares; the others are far better."""
+@pytest.mark.parametrize("explained", [("wrong", "right"), ("wrong",), ()])
+def test_coloured_noise_is_said_to_do_it_only_if_it_does_as_much_as_every_refused_effect(
+    monkeypatch, explained
+):
+    """A wave follows a slow residual best, and says nothing of the mechanisms behind it."""
+    monkeypatch.setattr(gates, "FILTERS", ())
+    monkeypatch.setattr(gates, "may_go_on", lambda *_: True)
+    monkeypatch.setattr(
+        gates,
+        "coloured_noise_explains",
+        lambda _, begun, contender: contender.candidate.effect.name in explained,
+    )
+    worse = LeaveOneOutPrediction(np.array([2.0 * NOTHING]))
+    monkeypatch.setattr(gates, "predict", lambda *_: worse)
+    fitter = KnownFits({})
+    contenders = []
+    for candidate, squares in ((WRONG, ONE), (RIGHT, 1.1 * ONE)):
+        fitted = fit_with_squares(PROBLEM, squares, (candidate,))
+        contenders.append(made_refit(fitted, fitted.criterion(fitter.records)))
+    end = gates.choose(fitter, begun_at(fit_with_squares(PROBLEM, NOTHING)), contenders)
+    assert end.won is None
+    assert end.seen.coloured is (len(explained) == 2)
+
+
+@pytest.mark.parametrize("first", [72.1, 7e4])
+def test_no_quarter_of_a_record_decides_alone(first):
+    """The first is extrapolated, and has 95 % of the squares or more; the others are far better."""
     before = LeaveOneOutPrediction(np.array([61.9, 4.9, 3.4, 4.3]) ** 2, quarters=True)
-    after = LeaveOneOutPrediction(np.array([72.1, 1.2, 1.1, 1.4]) ** 2, quarters=True)
+    after = LeaveOneOutPrediction(np.array([first, 1.2, 1.1, 1.4]) ** 2, quarters=True)
     assert after.total > before.total
     assert after.is_better_than(before)
     assert not before.is_better_than(after)
