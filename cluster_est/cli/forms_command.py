@@ -45,7 +45,7 @@ EVERY_FORM = FORMS | PROCESS_NOISE
 
 def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
     """Return the equations of a form at a site of a kind; of a free curve a description."""
-    if form.free:
+    if form.values:
         before = {"parameter": "s times 1 plus ", "derivative": "", "pair": ""}
         return (
             f"{before.get(kind, 's plus ')}a curve of {'v' if form.variables else 's'}: straight "

@@ -276,7 +276,7 @@ class ShapedCurve:
 
     def __post_init__(self) -> None:
         where = f"effects.{self.name}"
-        if not self.form.free:
+        if not self.form.values:
             key = next(key for key in vars(UNSHAPED) if self._says(key))
             raise ConfigError(
                 f"{where}.{key}: must be used with a free curve, which is a form like table, "

@@ -176,6 +176,7 @@ def _judged(
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         share += f", and {predicted:.0%} in records that were left out for prediction"
     tables = any(c.form.free for c in found.current.added)
+    dynamics = any(c.form.is_dynamics for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
     most = VERDICT.most_by_curve if tables else VERDICT.most
     if base.structured and base.within_sigma:
@@ -185,7 +186,8 @@ def _judged(
     quiet = not now.structured and predicted >= 0.0
     if quiet or closed > 1.0 - VERDICT.negligible:
         if tables:
-            share += ", with a free curve: a shape that is not in the library"
+            free = "hidden dynamics: a filter" if dynamics else "a free curve: a shape"
+            share += f", with {free} that is not in the library"
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     mostly = found.prediction.is_better_than(found.base_prediction)
     if now.of_sensors and not tables and mostly:

@@ -1,15 +1,15 @@
 """The moves of a search: each proposes structures, from one, the ranking at it, and the data.
 
 `MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, one
-more without an earlier one, a free curve. `drop` takes out what no longer pays, of a structure that
-has passed the gates. `LoopPart` has their names, by which a setting leaves them out. What they
-share is pruned in one place (`refits.py`, `linear_model.py`).
+more without an earlier one, a free curve, a free filter. `drop` takes out what no longer pays, of a
+structure that has passed the gates. `LoopPart` has their names, by which a setting leaves them out.
+What they share is pruned in one place (`refits.py`, `linear_model.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.argument_functions import (
     criterion_falls,
     free_curve,
+    free_dynamics,
     refit_siblings,
+    with_filters,
 )
 from cluster_est.closed_loop.selection.gates import GATES, SELECTION
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
@@ -69,12 +71,15 @@ class Move:
         Whether it is tried after what the moves before it have come to.
     preferred
         The one of two ends of a round that is kept: the best so far, or that of its own proposals.
+    widened
+        The start of the round, with the candidates that it alone looks at.
     """
 
     part: LoopPart
     propose: Callable[[Fitter, RoundStart, RoundEnd], list[RefittedCandidate]]
     is_worth: Callable[[RoundStart, RoundEnd], bool]
     preferred: Callable[[RoundStart, RoundEnd, RoundEnd], RoundEnd]
+    widened: Callable[[Fitter, RoundStart], RoundStart] = lambda _, begun: begun
 
 
 def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
@@ -212,6 +217,19 @@ def _own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd
     return best if own.won is None else own
 
 
+def _better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundEnd:
+    """What fits better, a free curve or a free filter; the log has the filters in any case."""
+    if own.won is not None and (curve.won is None or own.won.criterion < curve.won.criterion):
+        return own
+    return replace(curve, seen=replace(curve.seen, screening=begun.screening))
+
+
+def _nothing_named(begun: RoundStart, best: RoundEnd) -> bool:
+    """Return whether what is free may be tried: nothing that has a name passes."""
+    named = best.won is not None and not best.won.candidate.form.free
+    return not named and _has_room_for_two(begun, best)
+
+
 MOVES = (
     Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
     Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
@@ -224,8 +242,15 @@ MOVES = (
     Move(
         LoopPart.FREE_CURVE,
         free_curve,
-        lambda begun, best: best.won is None and _has_room_for_two(begun, best),
+        _nothing_named,
         _own_if_it_won,
+    ),
+    Move(
+        LoopPart.FREE_DYNAMICS,
+        free_dynamics,
+        _nothing_named,
+        _better_of_free,
+        with_filters,
     ),
 )
 """In the order in which they are tried."""
