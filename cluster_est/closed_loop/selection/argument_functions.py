@@ -130,9 +130,13 @@ def free_dynamics(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[Ref
 def refit_filters(
     fitter: Fitter, begun: RoundStart, bound: PruningBound = NO_BOUND
 ) -> list[RefittedCandidate]:
-    """Refit free filters of low order at the leading places, then of higher; the best first."""
+    """Refit free filters of low order at the leading places, then of higher; the best first.
+
+    Only those from which a claim may be in reach: they cost nothing where a disturbance is missing.
+    """
     if not begun.has(LoopPart.FREE_DYNAMICS):
         return []
+    least = begun.bound(sse=claimable_sse(begun, begun.settings.max_effects))
     ranking = begun.screening.ranking
     trials = [trial for trial in ranking.trials if trial.candidate.form.is_dynamics]
     leaders = [
@@ -140,7 +144,7 @@ def refit_filters(
         for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
         if ranking.trials[i].candidate.form.is_dynamics
     ]
-    seen = _refitted(fitter, begun, ranking, leaders[: REFINEMENT.curves])
+    seen = _refitted(fitter, begun, ranking, leaders[: REFINEMENT.curves], least)
     seen += refit_fully(fitter, _in_other_places(fitter, begun, trials, seen))
     coarse = best_first(fitter.records, seen)
     found = [*coarse, *finer_curves(fitter, begun, coarse, bound)]
@@ -148,10 +152,14 @@ def refit_filters(
 
 
 def _refitted(
-    fitter: Fitter, begun: RoundStart, ranking: CandidateRanking, leaders: Sequence[int]
+    fitter: Fitter,
+    begun: RoundStart,
+    ranking: CandidateRanking,
+    leaders: Sequence[int],
+    bound: PruningBound = NO_BOUND,
 ) -> list[FittedModel]:
-    """Refit some trials of a ranking to convergence."""
-    starts = [step.start for step in first_steps(fitter, begun.model, ranking, leaders)]
+    """Refit some trials of a ranking to convergence, without those that cannot reach a bound."""
+    starts = [step.start for step in first_steps(fitter, begun.model, ranking, leaders, bound)]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     return refit_fully(fitter, brief)
 

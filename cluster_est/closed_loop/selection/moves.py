@@ -224,12 +224,6 @@ def _better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundE
     return replace(curve, seen=replace(curve.seen, screening=begun.screening))
 
 
-def _nothing_named(begun: RoundStart, best: RoundEnd) -> bool:
-    """Return whether what is free may be tried: nothing that has a name passes."""
-    named = best.won is not None and not best.won.candidate.form.free
-    return not named and _has_room_for_two(begun, best)
-
-
 MOVES = (
     Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
     Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
@@ -242,13 +236,13 @@ MOVES = (
     Move(
         LoopPart.FREE_CURVE,
         free_curve,
-        _nothing_named,
+        lambda begun, best: best.won is None and _has_room_for_two(begun, best),
         _own_if_it_won,
     ),
     Move(
         LoopPart.FREE_DYNAMICS,
         free_dynamics,
-        _nothing_named,
+        lambda _, best: best.won is None or best.won.candidate.form.free,
         _better_of_free,
         with_filters,
     ),

@@ -1,0 +1,89 @@
+"""Dynamics of a shape that is not in the library are found as one filter; data by SciPy."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter, lsim
+from support.problems.springs import ROOT
+
+import cluster_est as ce
+from cluster_est.closed_loop.findings.effects import Verdict
+
+TRUE = {"C_core": 400.0, "C_case": 900.0, "R_core_case": 0.5, "R_case_ambient": 1.2}
+GAIN, LAGS = 0.6 / 900.0, (60.0, 120.0, 200.0)
+"""Of the power that reaches the case by way of three layers: in K / s for each W."""
+NOISE = 0.05
+TIMES = np.arange(0.0, 4000.0, 20.0)
+START = (("T_core", 30.0), ("T_case", 28.0))
+
+
+def powers(number):
+    """A power that is switched, and held for some minutes."""
+    random = np.random.default_rng([3, number])
+    turns = np.cumsum(random.uniform(150.0, 600.0, 20))
+    levels = random.uniform(0.0, 40.0, 21)
+    return levels[np.searchsorted(turns, TIMES)]
+
+
+def measured(number, disturbance=None):
+    """An experiment with the hidden layers, or in their place a heat that nobody measured."""
+    power = powers(number)
+
+    def rates(t, x):
+        core, case, *layers = x
+        heat = np.interp(t, TIMES, power)
+        across = (core - case) / TRUE["R_core_case"]
+        lost = (case - 20.0) / TRUE["R_case_ambient"]
+        more = GAIN * layers[-1] if disturbance is None else np.interp(t, TIMES, disturbance)
+        before = [heat, *layers]
+        filled = [(u - z) / tau for u, z, tau in zip(before, layers, LAGS, strict=False)]
+        return [(heat - across) / TRUE["C_core"], (across - lost) / TRUE["C_case"] + more, *filled]
+
+    starts = [*(value for _, value in START), *(power[0] for _ in LAGS)]
+    span = (0.0, float(TIMES[-1]))
+    truth = solve_ivp(rates, span, starts, t_eval=TIMES, rtol=1e-8, atol=1e-8, max_step=20.0).y
+    random = np.random.default_rng([7, number])
+    seen = tuple(
+        ce.Output(output, TIMES, y + NOISE * random.normal(size=len(y)), NOISE)
+        for output, y in zip(("y_core", "y_case"), truth[:2], strict=True)
+    )
+    given = (ce.Input("P", TIMES, power), ce.Input("T_ambient", TIMES, np.full(len(TIMES), 20.0)))
+    role = "test" if number == 3 else "train"
+    return ce.Experiment(f"run{number}", *span, given, seen, START, role=role)
+
+
+def searched(runs, *forms):
+    path = ROOT / "configs" / "models" / "thermal_two_node.fmu"
+    solver = ce.Solver("dormand_prince")
+    model = ce.Model(path.name, path.read_bytes(), "model_exchange", solver, tuple(TRUE))
+    parameters = tuple(ce.Parameter(n, 1.2 * v, (v / 10.0, 10.0 * v)) for n, v in TRUE.items())
+    settings = ce.LoopSettings(
+        sites=("der(T_case)", "der(T_core)"), forms=forms, draws=200, max_effects=2
+    )
+    return ce.close_loop(ce.Problem(model, parameters, tuple(runs)), settings=settings)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return searched(map(measured, range(4)), *FORMS)
+
+
+FORMS = ("hidden_dynamics", "hidden_exchange", "constant", "square")
+"""No form that a filter of third order could be patched from."""
+
+
+def drawn(number):
+    """A slow heat that nobody measured, in K / s, another one in each experiment."""
+    random = np.random.default_rng([11, number]).standard_normal(len(TIMES) + 50)
+    slow = lfilter([1.0], [1.0, -1.8, 0.81], random)[50:]
+    return 0.02 * slow / slow.std()
+
+
+@pytest.mark.slow
+def test_dynamics_of_no_known_form_are_found_at_their_place(found):
+    assert found.verdict in (Verdict.FOUND, Verdict.PARTIAL)
+    (effect,) = found.effects
+    assert (effect.site, effect.variables) == ("der(T_case)", ("P",))
+    assert effect.form in ("hidden_dynamics", "hidden_dynamics_5")
+    assert found.rms("test", "before") > 5.0
+    assert found.rms("test", "after") < 1.3
