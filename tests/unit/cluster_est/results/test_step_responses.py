@@ -1,0 +1,58 @@
+"""Step responses of free filters, against SciPy on the equations of the forms."""
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from cluster_est.results.shapes.step_responses import (
+    dynamics_in_words,
+    settled_after,
+    step_response,
+)
+from workers.effects.forms import FORMS
+from workers.effects.laws import Law
+
+FILTERS = {key: form for key, form in FORMS.items() if form.is_dynamics}
+STRENGTHS, TAU = (0.8, -0.5, 0.6, 0.3, -0.2), 7.0
+
+
+@pytest.mark.parametrize("key", FILTERS, ids=" ".join)
+def test_a_step_response_is_that_of_the_equations(key):
+    form = FILTERS[key]
+    n = len(form.states)
+    k = np.array(STRENGTHS[:n])
+    values = np.array([*k, TAU, 1.0])
+    t = np.linspace(0.0, settled_after(form, values), 400)
+    direct = {Law.DYNAMICS: 0.0, Law.EXCHANGE: -k.sum(), Law.SIGNAL_DYNAMICS: 1.0 - k.sum()}
+    lags = (np.eye(n, k=-1) - np.eye(n)) / TAU
+    system = (lags, np.eye(n, 1) / TAU, k[None, :], [[direct[form.law]]])
+    _, truth, _ = lsim(system, np.ones(len(t)), t)
+    np.testing.assert_allclose(step_response(form)(t, values), truth, atol=1e-9)
+    assert truth[-1] == pytest.approx(truth[0] + k.sum(), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("strengths", "said"),
+    [
+        ((2.0, 0.0, 0.0), "step response with 63 % after 40 s, nearly that of the time constant 40 s"),
+        (
+            (0.0, -3.0, 0.0),
+            "step response with 63 % after 85.9 s, nearly that of the time constants 40 s and 40 s",
+        ),
+        ((0.0, 0.0, 1.0), "step response with 63 % after 2.17 min"),
+        ((1.0, -2.0, 1.0), "step response that comes back to where it was"),
+        ((0.0, 0.0, 0.0), ""),
+        ((np.nan, 1.0, 1.0), ""),
+    ],
+)  # fmt: skip
+def test_a_step_response_in_words(strengths, said):
+    """1 - exp(-x) (1 + x) is 0.632 at 2.146, and one lag more at 3.257."""
+    form = FORMS["derivative", "hidden_dynamics"]
+    assert dynamics_in_words(form, (*strengths, 40.0, 1.0)) == said
+
+
+def test_what_swings_is_an_oscillation():
+    """(1 - s)^2 / (1 + s)^5 and the like ring little; a sharp resonance needs many lags."""
+    form = FORMS["derivative", "hidden_dynamics_5"]
+    said = dynamics_in_words(form, (1.0, -8.0, 12.0, 30.0, -34.0, 1.0, 1.0))
+    assert said.startswith("step response")
