@@ -34,11 +34,11 @@ SITES: dict[SiteKind, tuple[str, str]] = {
 """How a site of each kind is written, and what an equation does there."""
 SYMBOLS = (
     "In the equations, `v` and `w` are the variables that an effect is a function of, `t` is the "
-    "time, and `z`, `y` and `e` are internal states. In the units, `site` is the unit of the "
-    "result of the equation, and `other` is the unit of the second derivative. A strength has no "
-    "influence at 0, unless another value is given. A coefficient that the closed loop holds keeps "
-    "its value when the effect is fitted; a coefficient that you declare is fitted unless it has "
-    "`fixed = true`."
+    "time, and `z` (also `z1`, `z2` ...), `y` and `e` are internal states. In the units, `site` is "
+    "the unit of the result of the equation, and `other` is the unit of the second derivative. A "
+    "strength has no influence at 0, unless another value is given. A coefficient that the closed "
+    "loop holds keeps its value when the effect is fitted; a coefficient that you declare is "
+    "fitted unless it has `fixed = true`."
 )
 EVERY_FORM = FORMS | PROCESS_NOISE
 

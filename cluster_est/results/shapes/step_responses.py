@@ -29,8 +29,6 @@ PART = 1.0 - np.exp(-1.0)
 """Of its way: what a single lag does within its time constant."""
 NO_WAY = 0.05
 """Share of its largest deflection below which a filter comes back to where it was."""
-SWINGS = 0.5
-"""Ratio of damping below which a pair of poles is called an oscillation: it overshoots by 16 %."""
 REDUCED = 0.05
 """Share of the Hankel singular values that a reduced model may leave out."""
 
@@ -78,25 +76,17 @@ def dynamics_in_words(form: EffectForm, values: Sequence[float]) -> str:
     if abs(total) > NO_WAY * float(np.abs(way).max()):
         done = x[np.argmax(way / total >= PART)] * tau
         said = f"step response with 63 % after {readable_time(float(done))}"
-    poles = reduced_poles(strengths, tau)
-    if poles is None:
+    times = [readable_time(float(each)) for each in reduced_time_constants(strengths, tau)]
+    if not times:
         return said
-    if np.iscomplex(poles).any():
-        if -poles.real[0] > SWINGS * np.abs(poles[0]):
-            return said
-        period = readable_time(float(2.0 * np.pi / np.abs(poles.imag).max()))
-        return f"{said}, nearly an oscillation with a period of {period}"
-    times = [readable_time(float(each)) for each in np.sort(-1.0 / poles.real)]
     which = "the time constants" if len(times) > 1 else "the time constant"
     return f"{said}, nearly that of {which} {' and '.join(times)}"
 
 
-def reduced_poles(strengths: FloatArray, tau: float) -> np.ndarray | None:
-    """Return the one or two poles that a reduced model has; None where it needs more.
+def reduced_time_constants(strengths: FloatArray, tau: float) -> FloatArray:
+    """Return the one or two time constants of a reduced model, the fast one first.
 
-    Returns
-    -------
-    In 1 / s, by balanced truncation.
+    None where it needs more, or would swing.
     """
     n = len(strengths)
     a = np.eye(n, k=-1) - np.eye(n)
@@ -110,5 +100,7 @@ def reduced_poles(strengths: FloatArray, tau: float) -> np.ndarray | None:
             scale = 1.0 / np.sqrt(hankel[:order])
             back = scale[:, None] * (left[:, :order].T @ out.T)
             there = (into @ right[:order].T) * scale
-            return np.asarray(np.linalg.eigvals(back @ a @ there) / tau)
-    return None
+            poles = np.linalg.eigvals(back @ a @ there)
+            swings = np.iscomplex(poles).any()
+            return np.zeros(0) if swings else np.sort(-tau / poles.real)
+    return np.zeros(0)

@@ -1,5 +1,7 @@
 """Dynamics of a shape that is not in the library are found as one filter; data by SciPy."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -76,7 +78,7 @@ def drawn(number):
     """A slow heat that nobody measured, in K / s, another one in each experiment."""
     random = np.random.default_rng([11, number]).standard_normal(len(TIMES) + 50)
     slow = lfilter([1.0], [1.0, -1.8, 0.81], random)[50:]
-    return 0.02 * slow / slow.std()
+    return 0.004 * slow / slow.std()
 
 
 @pytest.mark.slow
@@ -87,3 +89,40 @@ def test_dynamics_of_no_known_form_are_found_at_their_place(found):
     assert effect.form in ("hidden_dynamics", "hidden_dynamics_5")
     assert found.rms("test", "before") > 5.0
     assert found.rms("test", "after") < 1.3
+
+
+@pytest.mark.slow
+def test_its_step_response_is_drawn_and_said(found, tmp_path):
+    """Three lags in a row, by SciPy; the band of 95 % is not wider than a fifth of the gain."""
+    (curve,) = found.curves
+    assert (curve.variable, curve.unit) == ("time after a step of P by 1", "degC/s")
+    lags = np.diag([-1.0 / tau for tau in LAGS]) + np.diag([1.0 / tau for tau in LAGS[1:]], -1)
+    system = (lags, [[1.0 / LAGS[0]], [0.0], [0.0]], [[0.0, 0.0, GAIN]], [[0.0]])
+    _, truth, _ = lsim(system, np.ones(len(curve.x)), curve.x)
+    np.testing.assert_allclose(curve.y, truth, atol=0.05 * GAIN)
+    assert 0.0 < (curve.upper - curve.lower)[1:].max() < 0.2 * GAIN
+    (effect,) = found.effects
+    done = curve.x[np.argmax(truth > (1.0 - np.exp(-1.0)) * GAIN)] / 60.0
+    said = re.search(r"no known form: step response with 63 % after ([\d.]+) min", effect.sentence)
+    assert float(said[1]) == pytest.approx(done, rel=0.1)
+    assert "a place and no law" in effect.claim.sentence
+    assert "hidden dynamics" in found.message
+    ce.report(found, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "time after a step of P by 1 (s)" in text
+
+
+@pytest.mark.slow
+def test_the_log_has_it_as_a_finding_of_its_own_move(found):
+    rows = found.table("findings").to_pylist()
+    accepted = [row for row in rows if row["stage"] == "accepted"]
+    assert [(row["family"], row["freedom"]) for row in accepted] == [("hidden dynamics", 3)]
+    kept = [row["move"] for row in found.table("structures").to_pylist() if row["accepted"]]
+    assert "free dynamics" in kept
+
+
+@pytest.mark.slow
+def test_no_dynamics_are_claimed_of_a_disturbance():
+    found = searched([measured(number, drawn(number)) for number in range(4)], *FORMS)
+    assert found.effects == ()
+    assert found.verdict not in (Verdict.FOUND, Verdict.PARTIAL)

@@ -6,6 +6,7 @@ from scipy.signal import lsim
 
 from cluster_est.results.shapes.step_responses import (
     dynamics_in_words,
+    reduced_time_constants,
     settled_after,
     step_response,
 )
@@ -34,7 +35,10 @@ def test_a_step_response_is_that_of_the_equations(key):
 @pytest.mark.parametrize(
     ("strengths", "said"),
     [
-        ((2.0, 0.0, 0.0), "step response with 63 % after 40 s, nearly that of the time constant 40 s"),
+        (
+            (2.0, 0.0, 0.0),
+            "step response with 63 % after 40 s, nearly that of the time constant 40 s",
+        ),
         (
             (0.0, -3.0, 0.0),
             "step response with 63 % after 85.9 s, nearly that of the time constants 40 s and 40 s",
@@ -44,15 +48,19 @@ def test_a_step_response_is_that_of_the_equations(key):
         ((0.0, 0.0, 0.0), ""),
         ((np.nan, 1.0, 1.0), ""),
     ],
-)  # fmt: skip
+)
 def test_a_step_response_in_words(strengths, said):
     """1 - exp(-x) (1 + x) is 0.632 at 2.146, and one lag more at 3.257."""
     form = FORMS["derivative", "hidden_dynamics"]
     assert dynamics_in_words(form, (*strengths, 40.0, 1.0)) == said
 
 
-def test_what_swings_is_an_oscillation():
-    """(1 - s)^2 / (1 + s)^5 and the like ring little; a sharp resonance needs many lags."""
-    form = FORMS["derivative", "hidden_dynamics_5"]
-    said = dynamics_in_words(form, (1.0, -8.0, 12.0, 30.0, -34.0, 1.0, 1.0))
-    assert said.startswith("step response")
+def test_two_lags_apart_are_known_from_a_filter_that_follows_them():
+    """A filter of equal lags that was fitted to two lags of 10 and 30 seconds."""
+    t, lags = np.linspace(0.0, 300.0, 600), np.eye(5, k=-1) - np.eye(5)
+    truth = 1.0 + 0.5 * np.exp(-t / 10.0) - 1.5 * np.exp(-t / 30.0)
+    parts = lsim((lags / 20.0, np.eye(5, 1) / 20.0, np.eye(5), np.zeros((5, 1))), np.ones(600), t)[
+        1
+    ]
+    strengths = np.linalg.lstsq(parts, truth, rcond=None)[0]
+    np.testing.assert_allclose(reduced_time_constants(strengths, 20.0), (10.0, 30.0), rtol=0.1)
