@@ -54,13 +54,13 @@ def measured(number, disturbance=None):
     return ce.Experiment(f"run{number}", *span, given, seen, START, role=role)
 
 
-def searched(runs, *forms):
+def searched(runs, *forms, most=2):
     path = ROOT / "configs" / "models" / "thermal_two_node.fmu"
     solver = ce.Solver("dormand_prince")
     model = ce.Model(path.name, path.read_bytes(), "model_exchange", solver, tuple(TRUE))
     parameters = tuple(ce.Parameter(n, 1.2 * v, (v / 10.0, 10.0 * v)) for n, v in TRUE.items())
     settings = ce.LoopSettings(
-        sites=("der(T_case)", "der(T_core)"), forms=forms, draws=200, max_effects=2
+        sites=("der(T_case)", "der(T_core)"), forms=forms, draws=200, max_effects=most
     )
     return ce.close_loop(ce.Problem(model, parameters, tuple(runs)), settings=settings)
 
@@ -119,6 +119,20 @@ def test_the_log_has_it_as_a_finding_of_its_own_move(found):
     assert [(row["family"], row["freedom"]) for row in accepted] == [("hidden dynamics", 3)]
     kept = [row["move"] for row in found.table("structures").to_pylist() if row["accepted"]]
     assert "free dynamics" in kept
+
+
+@pytest.mark.slow
+def test_a_filter_takes_the_place_of_what_may_not_be_claimed():
+    """A decay passes first, and there is room for one effect."""
+    forms = ("hidden_dynamics", "emptying")
+    single = searched(map(measured, range(4)), *forms, most=1)
+    (effect,) = single.effects
+    assert (effect.site, effect.form) == ("der(T_case)", "hidden_dynamics")
+    kept = [row for row in single.table("structures").to_pylist() if row["accepted"]]
+    assert [row["move"] for row in kept] == ["add", "free dynamics"]
+    rows = single.table("findings").to_pylist()
+    assert "hidden_dynamics" in {row["form"] for row in rows if row["stage"] == "accepted"}
+    assert single.rms("test", "after") < 1.3
 
 
 @pytest.mark.slow
