@@ -122,7 +122,7 @@ def effect_words(run: ReportedRun) -> list[Block]:
     for effect in run.facts.get("effects") or []:
         blocks.append(TextBlock(effect["equation"], kind="equation"))
         _, _, values = effect["sentence"].partition(effect["equation"])
-        values = values.lstrip(", ")
+        values = values.lstrip(",; ")
         blocks.append(TextBlock(values[:1].upper() + values[1:] or effect["sentence"]))
         if effect.get("claim"):
             blocks.append(_how_sure(effect))
