@@ -57,7 +57,7 @@ def _refuse_other_workers() -> None:
         where = None if found is None else found.origin or next(iter(places), None)
         raise ImportError(
             f"cluster_est needs its package 'workers' in {own.parent}, but Python finds {where} "
-            "under that name first: rename it, or move it out of the folders from which Python "
+            "under that name first; rename it, or move it out of the folders from which Python "
             "imports"
         )
 

@@ -38,7 +38,7 @@ def check_class_attributes(derived: type) -> None:
         if name in declared and "ClassVar" not in str(annotation):
             raise TypeError(
                 f"{derived.__module__}.{derived.__qualname__}.{name}: must be declared for the "
-                f"class but is an option; write {name}: {declared[name]}"
+                f"class, but is an option; write {name}: {declared[name]}"
             )
 
 
@@ -94,18 +94,18 @@ def check_option(
     if get_origin(hint) is Literal:
         if value not in get_args(hint):
             choices = ", ".join(repr(choice) for choice in get_args(hint))
-            raise error(f"{where}: must be one of {choices} but is {shown(value)}")
+            raise error(f"{where}: must be one of {choices}, but is {shown(value)}")
         return
     allowed, called = _TYPES.get(hint, (hint, getattr(hint, "__name__", "of another type")))
     if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
-        raise error(f"{where}: must be {called} but is {shown(value)}")
+        raise error(f"{where}: must be {called}, but is {shown(value)}")
     if hint is not str and not _usual(value, hint):
-        raise error(f"{where}: must be finite and of a usual size but is {shown(value)}")
+        raise error(f"{where}: must be finite and fit into a double, but is {shown(value)}")
     least, most = limits.get("least"), limits.get("most")
     if least is not None and not value >= least:
-        raise error(f"{where}: must be at least {least:g} but is {shown(value)}")
+        raise error(f"{where}: must be at least {least:g}, but is {shown(value)}")
     if most is not None and not value <= most:
-        raise error(f"{where}: must be at most {most:g} but is {shown(value)}")
+        raise error(f"{where}: must be at most {most:g}, but is {shown(value)}")
 
 
 def _usual(value: Any, hint: Any) -> bool:

@@ -50,7 +50,7 @@ def _known(value: Any) -> Any:
         return value
     if isinstance(value, bool | int | float) and abs(value) < largest:
         return value
-    raise PydanticCustomError("known", "must be a finite number, true, false or a text")
+    raise PydanticCustomError("known", "must be a finite number, true, false or text in quotes")
 
 
 def as_column(value: Any) -> Any:
@@ -59,7 +59,7 @@ def as_column(value: Any) -> Any:
         return {"column": value}
     if isinstance(value, dict | BaseModel):
         return value
-    raise PydanticCustomError("input", "must be a column's name or { column, interpolation }")
+    raise PydanticCustomError("input", "must be the name of a column or { column, interpolation }")
 
 
 def as_group(value: Any) -> Any:
@@ -86,7 +86,7 @@ def _ordinal(value: Any) -> Any:
     if several and all(isinstance(word, str) and word for word in value):
         return list(value)
     raise PydanticCustomError(
-        "ordinal", "must be true, false or a list of at least two words, the lowest first,"
+        "ordinal", "must be true, false or a list of at least two words, the lowest first"
     )
 
 
@@ -165,9 +165,9 @@ class Settings(ConfigSection):
             named = {self.also.get(key, key): value for key, value in named.items()}
             if len(values) > len(keys) or named.keys() & keys[: len(values)]:
                 raise ProblemError(
-                    f"{self.section}: each of {', '.join(keys)} must be given once at most, but "
+                    f"{self.section}: each of {', '.join(keys)} must be given at most once, but "
                     f"{len(values)} values are given without names, and with names "
-                    f"{', '.join(named) or 'none'}; name all"
+                    f"{', '.join(named) or 'none'}; give all values with their names"
                 )
             given = dict(zip(keys, values, strict=False)) | named
             given = {k: v.item() if isinstance(v, np.generic) else v for k, v in given.items()}
@@ -204,7 +204,7 @@ class Settings(ConfigSection):
             return given
         if isinstance(given, Settings):
             raise ProblemError(
-                f"{cls.section}: must be {cls.__name__}(...) but is {type(given).__name__}(...)"
+                f"{cls.section}: must be {cls.__name__}(...), but is {type(given).__name__}(...)"
             )
         if given is None:
             return cls()
@@ -306,13 +306,13 @@ def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel], 
     path = _path(parts, raw, inside)
     if _is_pair(hint) and (one_of_pair or kind != "missing"):
         whole = _bare(get_args(hint)[0]) is int
-        must = "two whole numbers from 0" if whole else "two numbers"
+        must = "two whole numbers that are not negative" if whole else "two numbers"
         finite = " that are finite" if kind == "finite_number" else ""
-        return f"{path}: must be a list of {must}{finite} but is {shown(value)} ({meaning})"
+        return f"{path}: must be a list of {must}{finite}, but is {shown(value)} ({meaning})"
     if kind == "missing":
         return f"{path} is missing; add it ({meaning})"
     must = _MUST[kind].format(**problem.get("ctx", {})) if kind in _MUST else problem["msg"]
-    return f"{path}: {must} but is {shown(value)}{_advice(kind, value, path)} ({meaning})"
+    return f"{path}: {must}, but is {shown(value)}{_advice(kind, value, path)} ({meaning})"
 
 
 def _where_it_belongs(
@@ -322,7 +322,10 @@ def _where_it_belongs(
     for depth in range(len(parts) - 2, 0, -1):
         section, _ = _walk(root, parts[:depth])
         if _is_section(section) and parts[-1] in dict(keys_of(section)):
-            return f"; {str(parts[-1])!r} is a key of {_path(parts[:depth], raw)} itself"
+            return (
+                f"; {str(parts[-1])!r} is a key of {_path(parts[:depth], raw)} itself, so move it "
+                "there"
+            )
     return ""
 
 
@@ -331,9 +334,9 @@ def _advice(kind: str, value: Any, path: str) -> str:
     if kind == "literal_error" or not isinstance(value, str | dict):
         return ""
     if kind in ("list_type", "tuple_type") and isinstance(value, str):
-        return f"; write [{shown(value)}] for one alone"
+        return f"; write [{shown(value)}] for a single value"
     if isinstance(value, dict):
-        return "; open each entry with [[experiments]]" if path == "experiments" else ""
+        return "; begin each experiment with [[experiments]]" if path == "experiments" else ""
     number = value.strip().lstrip("+-").replace(".", "", 1).isdigit()
     quoted = number and kind in ("float_type", "int_type")
     quoted = quoted or (value in ("true", "false") and kind == "bool_type")

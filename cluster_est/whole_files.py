@@ -19,11 +19,14 @@ SEAL = "cluster-est crc32:00000000"
 """What stands in the place of a seal until `sealed` fills it in."""
 SEAL_KEY = "checksum"
 """The key of a seal in run.json, and in the metadata of tables and of messages of a log."""
-MEND = "run the same command again with --resume, which repeats the damaged parts"
+MEND = "run the same command again with --resume to repeat the damaged parts"
 MAKE_ROOM_AND_RESUME = (
-    "check that there is space and that it can be written, and continue with --resume"
+    "check that there is free space and that the folder can be written to, and continue with "
+    "--resume"
 )
-ELSEWHERE = "check that there is space and that it can be written, or choose another"
+ELSEWHERE = (
+    "check that there is free space and that the folder can be written to, or choose another folder"
+)
 _FILE_SEAL = re.compile(rb"cluster-est crc32:([0-9a-f]{8})")
 
 
@@ -63,9 +66,7 @@ def writing(path: Path, advice: str) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise UnwritableError(
-            f"{path}: must be written but cannot be ({reason}); {advice}"
-        ) from error
+        raise UnwritableError(f"{path}: cannot be written ({reason}); {advice}") from error
 
 
 def write_whole(path: Path, content: bytes, advice: str, *, shared: bool = False) -> None:

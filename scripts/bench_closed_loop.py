@@ -126,7 +126,9 @@ def main() -> int:
         options.page.write_text(text, encoding="utf-8")
         return 0
     if options.parts_page:
-        options.parts_page.write_text(parts_page(read_parts(options.out)), encoding="utf-8")
+        deleted = read_parts(options.deleted) if options.deleted else {}
+        text = parts_page(read_parts(options.out), deleted)
+        options.parts_page.write_text(text, encoding="utf-8")
         return 0
     cases = choose(options)
     if options.ablation:
@@ -227,6 +229,9 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--parts-page", type=Path, help="write the page about parts left out and run nothing"
+    )
+    parser.add_argument(
+        "--deleted", type=Path, help="with --parts-page: records of a search with further parts"
     )
     parser.add_argument(
         "--hidden-table", action="store_true", help="print that of hidden dynamics and run nothing"

@@ -45,7 +45,7 @@ WORDS = {
     "unit": r"unit",
     "sentinel": r"far from all others",
     "foreign": r"periodic disturbance",
-    "transient": r"begins at another",
+    "transient": r"initial state .* differs",
 }
 """Words that only a sentence on this kind of fault has."""
 ANY = re.compile(

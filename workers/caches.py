@@ -47,9 +47,8 @@ def cache_folder(kind: str, chosen: str = "") -> Path:
                 _replaced[meant] = str(base)
             return base / kind
     raise ModelError(
-        f"caches: need a folder that you can write to, but neither {meant or 'a home folder'} nor "
-        f"the folder for temporary files can be written to; set {KEY} to a folder that you can "
-        "write to"
+        f"caches: need a writable folder, but neither {meant or 'a home folder'} nor the folder "
+        f"for temporary files can be written to; set {KEY} to a folder that you can write to"
     )
 
 
@@ -59,13 +58,13 @@ def notice() -> str:
         return ""
     meant, base = next(iter(_replaced.items()))
     why = (
-        f"{meant} is not a folder that only this user can write"
+        f"{meant} is not a folder that only this user can write to"
         if meant
-        else ("this user has no home")
+        else "this user has no home folder"
     )
     return (
-        f"unpacked FMUs and the simulation core are kept in {base}, because {why}; "
-        f"{KEY} names another folder"
+        f"unpacked FMUs and the simulation core are kept in {base}, because {why}; to change that, "
+        f"set {KEY} to another folder"
     )
 
 

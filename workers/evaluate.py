@@ -281,13 +281,13 @@ def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
 def _where_not_finite(bound: BoundExperiment, outputs: FloatArray) -> str:
     if np.isfinite(outputs).all():
         return (
-            "the outputs are finite, but so large that the residuals or constraints computed "
-            "from them overflow"
+            "the outputs are finite, but so large that the residuals or constraints computed from "
+            "them overflow"
         )
     row, column = np.argwhere(~np.isfinite(outputs))[0]
     return (
-        f"output {bound.outputs[column]!r} is {outputs[row, column]} from "
-        f"t = {bound.grid.times[row]:.9g} s on"
+        f"output {bound.outputs[column]!r} is {outputs[row, column]} from t = "
+        f"{bound.grid.times[row]:.9g} s on"
     )
 
 
@@ -309,7 +309,7 @@ def _where_not_linear(found: Linearisation | None) -> str | None:
         if not np.isfinite(matrix).all():
             at, row, column = np.argwhere(~np.isfinite(matrix))[0]
             return (
-                f"the derivative of {rows[row]!r} by {names[column]!r} is "
+                f"the derivative of {rows[row]!r} with respect to {names[column]!r} is "
                 f"{matrix[at, row, column]} at t = {found.times[at]:.9g} s"
             )
     return None

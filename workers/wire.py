@@ -53,8 +53,8 @@ class TaskBatch:
         first = tasks[0]
         if any(task.want != first.want or task.effects != first.effects for task in tasks):
             raise ValueError(
-                "a batch: all its tasks must want the same kind of answer with the same effects, "
-                "but they differ; use TaskBacklog, which cuts tasks into such batches"
+                "a batch: all tasks in it must ask for the same kind of answer with the same "
+                "effects, but they differ; use TaskBacklog, which divides tasks into such batches"
             )
         return cls(
             ids=np.array([task.id for task in tasks], np.int64),

@@ -30,8 +30,8 @@ def run() -> None:
     run_in_child()
     if address_space() < LEAST_MEMORY:
         sys.stderr.write(
-            f"cluster-est: it must have {LEAST_MEMORY:g} GB of address space to load its "
-            f"libraries but has {address_space():.3g} GB; raise the limit (ulimit -v)\n"
+            f"cluster-est: {LEAST_MEMORY:g} GB of address space are needed to load the libraries, "
+            f"but there are only {address_space():.3g} GB; raise the limit (ulimit -v)\n"
         )
         end(2)
     if address_space() < math.inf:  # where OpenBLAS cannot start threads, it interrupts the process

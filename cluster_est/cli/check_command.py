@@ -50,13 +50,12 @@ def print_page(answer: Answer, page: CheckPage) -> None:
     left = counts[CheckVerdict.NOT_DONE]
     said = _counted(problems, "problem") if problems else "no problem was found"
     if notes:
-        say_what = "says" if notes == 1 else "say"
-        said += f"; {_counted(notes, 'note')} {say_what} what may be wrong"
+        said += f"; read the {_counted(notes, 'note')} too"
     if 0 < left < len(page.findings):
         are = "was" if left == 1 else "were"
-        said = f"{left} of {len(page.findings)} checks {are} not done; the others: {said}"
+        said = f"{left} of {len(page.findings)} checks {are} not done; result of the others: {said}"
     elif left:
-        said = "nothing was checked yet"
+        said = "nothing has been checked yet"
     answer.say(said)
 
 
@@ -85,7 +84,7 @@ def print_check(answer: Answer, problem: Problem, simulations: Sequence[Simulati
     """Unknowns, experiments and one simulation of each."""
     train = make_space(problem, problem.indices("train"))
     answer.say(
-        f"{train.size} unknowns; a forward Jacobian takes {len(train.colours)} points x "
+        f"{train.size} unknowns; a forward Jacobian takes {len(train.colours)} points, each with "
         f"{len(train.experiments)} experiments",
     )
     experiments = [_simulated(problem, each) for each in simulations]
@@ -135,7 +134,7 @@ def check(options: Namespace, answer: Answer) -> int:
     seconds = SECONDS if options.seconds is None else options.seconds
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
-        print_model(answer, bare, "its own start values")
+        print_model(answer, bare, "with its own start values")
         build_core(answer)
         page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(answer, page)
@@ -151,7 +150,7 @@ def check(options: Namespace, answer: Answer) -> int:
     declared = [
         *sigma_findings(config, problem.describe()),
         *unit_findings(config, problem.describe(), problem.tables),
-        *(passed("long records", f"for a fit and other steps {each}") for each in run.notes),
+        *(passed("long records", f"for a fit and other steps, {each}") for each in run.notes),
         *long_records(config, problem),
     ]
     page = replace(page, findings=(*page.findings, *declared))

@@ -18,7 +18,7 @@ from workers.fmu.description import nearest
 MOST_LETTERS = 500
 """Longer expressions are refused before Python's parser sees them."""
 ALLOWED = (
-    "names with dots, numbers, texts in quotes, null, true, false, < <= > >= == !=, in, and, or, "
+    "names with dots, numbers, text in quotes, null, true, false, < <= > >= == !=, in, and, or, "
     "not, and parentheses"
 )
 _LITERALS = {"null": None, "true": True, "false": False}
@@ -53,7 +53,7 @@ class Judgement:
         """The result as a sentence."""
         if self.why:
             return (
-                f"--fail-if: {self.expression!r} cannot be evaluated, so it counts as met: "
+                f"--fail-if: {self.expression!r} cannot be evaluated and therefore counts as met: "
                 f"{self.why}"
             )
         return f"--fail-if: {self.expression!r} is met"
@@ -81,13 +81,16 @@ class Criterion:
         self._command = command
         if len(expression) > MOST_LETTERS:
             raise ConfigError(
-                f"--fail-if: must have at most {MOST_LETTERS} characters but has {len(expression)}"
+                f"--fail-if: must have at most {MOST_LETTERS} characters, but has "
+                f"{len(expression)}; shorten it"
             )
         try:
             self._tree = ast.parse(expression.strip(), mode="eval").body
             self._check(self._tree)
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise self._wrong(f"but is no expression ({getattr(error, 'msg', error)})") from error
+            raise self._wrong(
+                f"but it is not a valid expression ({getattr(error, 'msg', error)})"
+            ) from error
 
     def judge(self, document: Mapping[str, Any]) -> Judgement:
         """Return whether a document meets it.
@@ -103,7 +106,7 @@ class Criterion:
             return Judgement(self.expression, True, str(missing))
 
     def _wrong(self, but: str) -> ConfigError:
-        return ConfigError(f"--fail-if: must be made of {ALLOWED}, {but}: {self.expression!r}")
+        return ConfigError(f"--fail-if: must consist of {ALLOWED}, {but}: {self.expression!r}")
 
     def _check(self, node: ast.expr, field: DocumentField | None = None) -> None:
         """Refuse what is not allowed and what is not known; `field` is compared with the node."""
@@ -120,7 +123,7 @@ class Criterion:
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
             self._check(node.operand)
         elif not (isinstance(node, ast.Constant) and isinstance(node.value, str | int | float)):
-            raise self._wrong(f"but has {ast.unparse(node)!r} in it")
+            raise self._wrong(f"but contains {ast.unparse(node)!r}")
 
     def _check_compare(self, node: ast.Compare) -> None:
         sides = [node.left, *node.comparators]
@@ -128,7 +131,7 @@ class Criterion:
         for side in sides:
             self._check(side, known)
         if not all(type(each) in _ORDERS or type(each) in _OTHERS for each in node.ops):
-            raise self._wrong("but compares otherwise")
+            raise self._wrong("but contains another comparison")
 
     def _field(self, node: ast.expr) -> DocumentField | None:
         return self._fields.get(node.id) if isinstance(node, ast.Name) else None
@@ -142,7 +145,7 @@ class Criterion:
         meant = f"{meant} I" if meant.endswith("?") else "; i"
         named = f"{field.name} is one of {', '.join(words)}; " if field and words else ""
         raise ConfigError(
-            f"--fail-if: {first!r} must be a field of {self._command} but is not{meant}ts fields "
+            f"--fail-if: {first!r} must be a field of {self._command}, but is not{meant}ts fields "
             f"are {', '.join(self._fields)}; {named}put text in quotes"
         )
 
@@ -166,7 +169,7 @@ class Criterion:
 
     def _negative(self, value: Any) -> Any:
         if isinstance(value, str | list | dict):
-            raise self._wrong("but a minus is in front of something that is not a number")
+            raise self._wrong("but a minus sign stands before something that is not a number")
         return -value
 
     def _compare(self, node: ast.Compare, document: Mapping[str, Any]) -> bool:
@@ -181,13 +184,15 @@ class Criterion:
                 if not compare(left, right):
                     return False
             except TypeError as error:
-                raise self._wrong(f"but {left!r} and {right!r} cannot be compared so") from error
+                raise self._wrong(
+                    f"but {left!r} and {right!r} cannot be compared in this way"
+                ) from error
         return True
 
     def _refuse_missing(self, sides: Sequence[ast.expr], values: Sequence[Any]) -> None:
         for side, value in zip(sides, values, strict=True):
             if value is None:
-                raise _NoValueError(f"{ast.unparse(side)} has no value here")
+                raise _NoValueError(f"{ast.unparse(side)} has no value in this result")
 
     def _looked_up(self, node: ast.expr, document: Mapping[str, Any]) -> Any:
         """Return what a name stands for: a constant, a field or a part of one, or a word."""
@@ -199,7 +204,7 @@ class Criterion:
         value: Any = document
         while path:
             if value is None:
-                raise _NoValueError(f"{ast.unparse(node)} has no value here")
+                raise _NoValueError(f"{ast.unparse(node)} has no value in this result")
             value, path = self._step(node, value, path)
         return value
 
@@ -219,8 +224,8 @@ class Criterion:
         known = [*value] if isinstance(value, Mapping) else []
         listed = f" It has {', '.join(known[:20])}." if known else ""
         raise ConfigError(
-            f"--fail-if: {ast.unparse(node)}: {path[0]!r} must be a part of it but is not there"
-            f"{nearest(str(path[0]), known)}{listed}"
+            f"--fail-if: {ast.unparse(node)}: there is no part "
+            f"{path[0]!r}{nearest(str(path[0]), known)}{listed}"
         )
 
 
@@ -242,4 +247,4 @@ def _path(node: ast.expr, wrong: Callable[[str], ConfigError]) -> list[str | int
         part = node.slice.value
         if isinstance(part, str) or (type(part) is int and part >= 0):
             return [*_path(node.value, wrong), part]
-    raise wrong(f"but has {ast.unparse(node)!r} in it")
+    raise wrong(f"but contains {ast.unparse(node)!r}")

@@ -43,7 +43,10 @@ def design(options: Namespace, answer: Answer) -> int:
     write_output(out, content.getvalue())
     print_any_run(answer, folder)
     say_report(answer, folder)
-    answer.say(f"next experiment: {out}; write what you measure into its empty columns, and")
+    answer.say(
+        f"the input of the next experiment is in {out}; write your measurements into its "
+        "empty columns, and"
+    )
     answer.say("add it to the config:\n")
     block = read_facts(folder)["design"]["block"]
     block = block.replace(TABLE, _path_from(run, out)).replace(STEM, out.stem)
@@ -73,10 +76,10 @@ def _check_free(options: Namespace) -> None:
     """
     out, folder = options.out, options.out.with_suffix("")
     if out.suffix.lower() != ".csv":
-        raise RunFolderError(f"--out: must end in .csv but is {out.name!r}; rename it")
+        raise RunFolderError(f"--out: must end in .csv, but is {out.name!r}; rename it")
     if out.is_dir() or not out.absolute().parent.is_dir():
         raise RunFolderError(
-            f"--out: must be a file in a folder that exists but is {out}; choose another"
+            f"--out: must be a file in an existing folder, but is {out}; choose another file"
         )
     if has_measurements(out):
         raise RunFolderError(
@@ -84,13 +87,13 @@ def _check_free(options: Namespace) -> None:
         )
     if out.exists() and not (options.overwrite or options.resume):
         raise RunFolderError(
-            f"--out: {out} exists already; choose another file, or use --overwrite"
+            f"--out: {out} exists already; choose another file, or replace it with --overwrite"
         )
     run, own = options.run_folder.resolve(), folder.resolve()
     if own == run or run in own.parents or own in run.parents:
         raise RunFolderError(
-            f"--out: the run folder of {out} would be {folder}, which contains or is the run to "
-            "read; choose another name"
+            f"--out: the run folder for {out} would be {folder}, but this folder contains or is "
+            "the run to read; choose another name"
         )
     facts = read_facts(folder) if (folder / "run.json").is_file() else {}
     if facts.get("verdict") or (folder / "parameters.parquet").is_file():

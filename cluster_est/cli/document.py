@@ -59,74 +59,90 @@ class DocumentField:
 
 
 COMMON_FIELDS = (
-    DocumentField("command", "text", "the command"),
+    DocumentField("command", "text", "name of the command"),
     DocumentField("version", "text", "version of cluster-est; null if it is not installed"),
     DocumentField("status", "text", "the exit code in words", _statuses),
-    DocumentField("exit_code", "whole number", "of the process"),
-    DocumentField("message", "text", "reason why the command has no result; empty if it has one"),
+    DocumentField("exit_code", "whole number", "exit code of the process"),
+    DocumentField(
+        "message", "text", "reason why the command has no result; empty if it has a result"
+    ),
     DocumentField(
         "sentences", "list", "all sentences that are printed without --json, except the tables"
     ),
-    DocumentField("complaints", "list", "the sentences on standard error"),
-    DocumentField("criteria", "list", "each --fail-if: `expression`, `met`, and `why`"),
+    DocumentField("complaints", "list", "the sentences that are printed on standard error"),
+    DocumentField(
+        "criteria", "list", "each --fail-if: its `expression`, whether it is `met`, and `why`"
+    ),
 )
 """Of every command, also of one that fails."""
 
 _OF_RUN = (
     DocumentField("run", "text", "folder of the run"),
     DocumentField("run_status", "text", "status of the run, as in run.json", _run_statuses),
-    DocumentField("cost_before", "number", "the cost at the start values"),
-    DocumentField("cost", "number", "the cost of the result"),
+    DocumentField("cost_before", "number", "cost at the start values"),
+    DocumentField("cost", "number", "cost of the result"),
     DocumentField(
         "rmse_train",
         "number",
-        "root mean square of the training errors over sigma; in a closed loop, over the "
-        "`errors_over` of `facts`; without a sigma, in the units of the outputs",
+        "root mean square of the training errors divided by sigma; for close-loop, divided by the "
+        "noise that `errors_over` in `facts` names; without a sigma, in the units of the outputs",
     ),
     DocumentField(
         "rmse_test",
         "number",
-        "root mean square of the held-out errors, in the unit of `rmse_train`",
+        "root mean square of the held-out errors, in the same unit as `rmse_train`",
     ),
-    DocumentField("verdict", "text", "of a closed loop", verdicts),
-    DocumentField("summary", "text", "result of a closed loop or a design, as a sentence"),
-    DocumentField("effects", "list", "names of the effects that a closed loop has added"),
+    DocumentField(
+        "verdict", "text", "verdict of the search for missing effects (close-loop)", verdicts
+    ),
+    DocumentField("summary", "text", "result of close-loop or design, as a sentence"),
+    DocumentField("effects", "list", "names of the effects that close-loop has added"),
     DocumentField("doubts", "list", "doubts about the result, in a few words each"),
     DocumentField("too_narrow", "true or false", "whether the intervals are too narrow"),
     DocumentField("notes", "list", "sentences on the result"),
-    DocumentField("iterations", "whole number", "of the best search"),
-    DocumentField("evaluations", "whole number", "points that were evaluated"),
-    DocumentField("simulations", "whole number", "experiments that were simulated"),
-    DocumentField("failures", "whole number", "simulations that failed"),
-    DocumentField("seconds", "number", "that the run took"),
-    DocumentField("parameters", "object", "rows of parameters.parquet by label"),
-    DocumentField("tables", "object", "rows of the run's other tables that `show` prints, by name"),
-    DocumentField("facts", "object", "the content of run.json"),
+    DocumentField("iterations", "whole number", "number of iterations of the best search"),
+    DocumentField("evaluations", "whole number", "number of points that were evaluated"),
+    DocumentField("simulations", "whole number", "number of experiments that were simulated"),
+    DocumentField("failures", "whole number", "number of simulations that failed"),
+    DocumentField("seconds", "number", "duration of the run"),
+    DocumentField("parameters", "object", "rows of parameters.parquet, by label"),
+    DocumentField(
+        "tables",
+        "object",
+        "rows of the other tables of the run that `show` prints, by name of the table",
+    ),
+    DocumentField("facts", "object", "contents of run.json"),
 )
-_WRITTEN = DocumentField("out", "text", "what was written")
+_WRITTEN = DocumentField("out", "text", "path that was written")
 
 FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "init": (
         _WRITTEN,
-        DocumentField("to_fill_in", "list", "open lines of the config: `line` and `text`"),
+        DocumentField(
+            "to_fill_in", "list", "lines of the config that you have to fill in: `line` and `text`"
+        ),
         DocumentField("missing_inputs", "list", "inputs for which no column was found"),
     ),
     "check": (
-        DocumentField("model", "object", "`name`, `interface` and `solver`"),
+        DocumentField("model", "object", "the model: `name`, `interface` and `solver`"),
         DocumentField("checks", "list", "each check: `verdict`, `check`, `found` and `do`"),
-        DocumentField("problems", "whole number", "checks with the verdict problem"),
-        DocumentField("check_notes", "whole number", "checks with the verdict note"),
-        DocumentField("not_done", "whole number", "checks that were not done"),
+        DocumentField("problems", "whole number", "number of checks with the verdict problem"),
+        DocumentField("check_notes", "whole number", "number of checks with the verdict note"),
+        DocumentField("not_done", "whole number", "number of checks that were not done"),
         DocumentField(
-            "unknowns", "whole number", "number of simulations of a fit of the training experiments"
+            "unknowns", "whole number", "number of unknowns of a fit to the training experiments"
         ),
         DocumentField(
             "experiments",
             "list",
-            "simulated at the start values: `id`, `role`, `start`, `stop`, `samples`, `status`, "
-            "`message` and the `seconds` that it took",
+            "simulations at the start values: `id`, `role`, `start`, `stop`, `samples`, `status`, "
+            "`message`, and the duration `seconds`",
         ),
-        DocumentField("constraints", "list", "at the start: `constraint`, `equality`, `value`"),
+        DocumentField(
+            "constraints",
+            "list",
+            "constraints at the start values: `constraint`, `equality`, `value`",
+        ),
     ),
     "fit": _OF_RUN,
     "close-loop": _OF_RUN,
@@ -134,12 +150,12 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "design": (
         *_OF_RUN,
         _WRITTEN,
-        DocumentField("block", "text", "lines that the config needs for the next experiment"),
+        DocumentField("block", "text", "lines to add to the config for the next experiment"),
     ),
     "simulate": (
         _WRITTEN,
         DocumentField("rows", "whole number", "number of rows of the written table"),
-        DocumentField("experiments", "list", "each: `id`, `status` and `message`"),
+        DocumentField("experiments", "list", "each experiment: `id`, `status` and `message`"),
     ),
     "show": (
         *_OF_RUN,
@@ -149,43 +165,47 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
             "with --iterations or --search: the rows of the iteration table",
         ),
         DocumentField(
-            "failed", "list", "with --failures: failed simulations, each with its `number`"
+            "failed", "list", "with --failures: the failed simulations, each with its `number`"
         ),
     ),
     "report": (_WRITTEN,),
     "watch": (
         DocumentField("run", "text", "folder of the run"),
-        DocumentField("run_status", "text", "of the run", _run_statuses),
-        DocumentField("doing", "text", "what the run does"),
-        DocumentField("seconds", "number", "since it began"),
-        DocumentField("evaluations", "whole number", "points that were evaluated"),
-        DocumentField("simulations", "whole number", "experiments that were simulated"),
-        DocumentField("failures", "whole number", "simulations that failed"),
-        DocumentField("workers", "whole number", "that the run has"),
-        DocumentField("busy", "whole number", "workers that simulate"),
+        DocumentField("run_status", "text", "status of the run", _run_statuses),
+        DocumentField("doing", "text", "what the run is doing"),
+        DocumentField("seconds", "number", "seconds since the run began"),
+        DocumentField("evaluations", "whole number", "number of points that were evaluated"),
+        DocumentField("simulations", "whole number", "number of experiments that were simulated"),
+        DocumentField("failures", "whole number", "number of simulations that failed"),
+        DocumentField("workers", "whole number", "number of workers of the run"),
+        DocumentField("busy", "whole number", "number of workers that are simulating"),
         DocumentField(
             "searches",
             "list",
-            "each: `search`, `iteration`, `evaluations`, `best`, `cost`, `ending`",
+            "each search: `search`, `iteration`, `evaluations`, `best`, `cost`, `ending`",
         ),
-        DocumentField("failure_reasons", "list", "each: `count`, `status` and `message`"),
+        DocumentField("failure_reasons", "list", "each reason: `count`, `status` and `message`"),
     ),
-    "export": (DocumentField("files", "list", "what was written"),),
+    "export": (DocumentField("files", "list", "files that were written"),),
     "sweep": (
         _WRITTEN,
-        DocumentField("ran", "whole number", "runs that this call has done"),
+        DocumentField("ran", "whole number", "number of runs that this call has done"),
         DocumentField("runs", "list", "rows of summary.parquet"),
         DocumentField("counts", "object", "number of runs for each status"),
-        DocumentField("verdicts", "object", "number of closed loops for each verdict"),
+        DocumentField("verdicts", "object", "number of close-loop runs for each verdict"),
         DocumentField("doubtful", "whole number", "number of runs with a doubtful solution"),
         DocumentField("worst_rmse_train", "number", "the largest `rmse_train` of the runs"),
         DocumentField("worst_rmse_test", "number", "the largest `rmse_test` of the runs"),
     ),
     "replay": (
-        DocumentField("logged", "object", "`number`, `experiment`, `search`, `purpose`, `effects`"),
+        DocumentField(
+            "logged",
+            "object",
+            "the logged simulation: `number`, `experiment`, `search`, `purpose`, `effects`",
+        ),
         DocumentField("values", "object", "by parameter"),
-        DocumentField("then", "object", "`status`, `message` and `cost` in the log"),
-        DocumentField("now", "object", "the same for the repeated simulation"),
+        DocumentField("then", "object", "result in the log: `status`, `message` and `cost`"),
+        DocumentField("now", "object", "result of the repeated simulation, with the same fields"),
         DocumentField(
             "same_inputs",
             "true or false",

@@ -178,8 +178,8 @@ class LenientStreams:
 
 
 STANDARD_OUTPUT_LOST = (
-    "standard output: must be written but cannot be ({}); redirect it and repeat the command; "
-    "cluster-est show prints the results of a run"
+    "standard output: cannot be written ({}); redirect it and repeat the command; cluster-est show "
+    "prints the results of a run"
 )
 
 
@@ -251,8 +251,8 @@ def _refused(error: OSError) -> str:
     """Say what the system refuses, with the file if it is about one."""
     where = f"{error.filename}: " if error.filename is not None else ""
     return (
-        f"{where}the system refuses it ({error.strerror or error}); correct that and repeat the "
-        "command, with --resume if a run had begun"
+        f"{where}the operating system reports: {error.strerror or error}; correct that and repeat "
+        "the command, with --resume if a run had begun"
     )
 
 
@@ -262,13 +262,13 @@ def _short_of_memory(error: Exception) -> str:
     limit = address_space()
     if limit < np.inf:
         return (
-            f"it failed ({said}) with {limit:.3g} GB of address space, which is too small for "
-            "many libraries; raise the limit (ulimit -v), and continue with --resume if a run "
-            "had begun"
+            f"the command failed ({said}) with {limit:.3g} GB of address space, which is too "
+            "little for many libraries; raise the limit (ulimit -v), and continue with --resume if "
+            "a run had begun"
         )
     return (
-        f"there is not enough memory ({said}); provide more, or use fewer samples, workers or "
-        "starts, and continue with --resume if a run had begun"
+        f"there was not enough memory ({said}); provide more memory, or use fewer samples, workers "
+        "or starts, and continue with --resume if a run had begun"
     )
 
 

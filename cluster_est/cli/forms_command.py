@@ -33,12 +33,12 @@ SITES: dict[SiteKind, tuple[str, str]] = {
 }  # fmt: skip
 """How a site of each kind is written, and what an equation does there."""
 SYMBOLS = (
-    "In the equations, `v` and `w` are the variables that an effect is a function of, `t` is the "
-    "time, and `z` (also `z1`, `z2` ...), `y` and `e` are internal states. In the units, `site` is "
-    "the unit of the result of the equation, and `other` is the unit of the second derivative. A "
-    "strength has no influence at 0, unless another value is given. A coefficient that the closed "
-    "loop holds keeps its value when the effect is fitted; a coefficient that you declare is "
-    "fitted unless it has `fixed = true`."
+    "In the equations, `v` and `w` are the variables on which an effect depends, `t` is the time, "
+    "and `z` (also `z1`, `z2` ...), `y` and `e` are internal states. In the units, `site` is the "
+    "unit of the result of the equation, and `other` is the unit of the second derivative. A "
+    "strength has no influence at 0, unless another value is given. A coefficient that is held "
+    "keeps its value when `close-loop` fits the effect; a coefficient that you declare is fitted "
+    "unless it has `fixed = true`."
 )
 EVERY_FORM = FORMS | PROCESS_NOISE
 
@@ -49,8 +49,8 @@ def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
         before = {"parameter": "s times 1 plus ", "derivative": "", "pair": ""}
         return (
             f"{before.get(kind, 's plus ')}a curve of {'v' if form.variables else 's'}: straight "
-            f"lines between values at {form.values} equally spaced points from low to high, 0 at "
-            "those without a coefficient",
+            f"lines between values at {form.values} equally spaced points from low to high; "
+            "a value without a coefficient is 0",
         )
     if form.memory:
         return (f"{form.memory}(s, {form.coefficients[0].name})",)
@@ -62,7 +62,7 @@ def coefficient_in_words(coefficient: FormCoefficient) -> str:
     """Return a coefficient with its unit and what is special about it."""
     said = [coefficient.name, f"in {coefficient.unit}" if coefficient.unit != "1" else ""]
     if coefficient.neutral:
-        said.append(f"(does nothing at {coefficient.neutral:g})")
+        said.append(f"(no influence at {coefficient.neutral:g})")
     said += ["(held)"] if coefficient.held else []
     return " ".join(filter(None, said))
 
@@ -77,7 +77,7 @@ def config_block(kind: SiteKind, form: EffectForm) -> str:
         f"site = {inline(f'{FILL_IN}: {SITES[kind][0]}')}",
         f"form = {inline(form.name)}",
         *([f"variables = {arguments}"] if form.variables and not own else []),
-        *([f"# variables = {arguments}  # of another argument"] if own else []),
+        *([f"# variables = {arguments}  # if it depends on another argument"] if own else []),
         "[effects.parameters]",
     ]
     for each in form.coefficients:
@@ -110,7 +110,7 @@ def _tried(coefficient: FormCoefficient) -> str:
 
 def _comment(coefficient: FormCoefficient) -> str:
     unit = "without a unit" if coefficient.unit == "1" else f"in {coefficient.unit}"
-    still = f"; does nothing at {coefficient.neutral:g}" if coefficient.neutral is not None else ""
+    still = f"; no influence at {coefficient.neutral:g}" if coefficient.neutral is not None else ""
     sign = "; positive" if coefficient.positive and not coefficient.if_own else ""
     return f"{unit}{still}{sign}"
 
@@ -126,7 +126,7 @@ def forms(options: Namespace, answer: Answer) -> int:
         known = [name for kind, name in EVERY_FORM if options.site in (None, kind)]
         where = f" at sites of the kind {options.site}" if options.site else ""
         raise ConfigError(
-            f"forms: {options.form!r} must be a form{where} but is "
+            f"forms: {options.form!r} must be a form{where}, but is "
             f"not{nearest(str(options.form), dict.fromkeys(known))}"
         )
     answer.add(forms=[_entry(kind, form) for (kind, _), form in chosen.items()])

@@ -25,7 +25,7 @@ def init(options: Namespace, answer: Answer) -> int:
     """Write a first config, and say what to fill in or to do next."""
     out = options.out or Path(f"{options.fmu.stem}.toml")
     if out.is_dir():
-        raise ConfigError(f"--out: {out} must be a file but is a folder; name a file in it")
+        raise ConfigError(f"--out: {out} must be a file, but is a folder; name a file in it")
     if out.exists() and not options.overwrite:
         raise ConfigError(
             f"--out: {out} exists already; choose another file, or replace it with --overwrite"
@@ -48,15 +48,15 @@ def init(options: Namespace, answer: Answer) -> int:
         answer.say(f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
     for key, column in _by_unit(found).items():
         answer.say(
-            f"{out}{_place(text, f'{key} = ')}: {key} is {column!r}, the only column in such a "
-            "unit; correct that if it is another"
+            f"{out}{_place(text, f'{key} = ')}: {column!r} was chosen for {key}, because it is the "
+            "only column whose unit matches the variable's; if that is wrong, name another column"
         )
     for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')
         answer.say(
-            f"{out}{place}: no column of {where} matches input {name!r}; name one there, or the "
-            "input keeps its start value",
+            f"{out}{place}: no column of {where} matches input {name!r}; name a column there, "
+            "otherwise the input keeps its start value",
         )
     answer.say(f"{out} was written; check its lines, then run: cluster-est check {out}")
     return ExitCode.DONE
@@ -94,8 +94,8 @@ def read_reading(texts: Sequence[str]) -> Reading:
         key = text.partition("=")[0].strip()
         if key not in known or "=" not in text:
             raise ConfigError(
-                f"--read: must be KEY=VALUE with one of {', '.join(known)} but is {text!r}"
-                f"{nearest(key, known)}"
+                f"--read: must be KEY=VALUE with one of the keys {', '.join(known)}, but is "
+                f"{text!r}{nearest(key, known)}"
             )
         override(raw, f"read.{text}")
     given = {key: str(v) if key != "skip_rows" else v for key, v in raw["read"].items()}
@@ -116,12 +116,12 @@ def read_mapping(texts: Sequence[str]) -> dict[str, str]:
         name, equals, column = (part.strip() for part in text.partition("="))
         if not equals or not name or not column:
             raise ConfigError(
-                f"--map: must be VARIABLE=COLUMN but is {text!r}; write it as in "
-                "--map u='Voltage (V)'"
+                f"--map: must be VARIABLE=COLUMN, but is {text!r}; write it as in --map u='Voltage "
+                "(V)'"
             )
         if name in found:
             raise ConfigError(
-                f"--map: {name} must be given one column but is given {found[name]!r} and "
+                f"--map: {name} must be given only one column, but is given {found[name]!r} and "
                 f"{column!r}; remove one"
             )
         found[name] = column

@@ -26,7 +26,7 @@ SECONDS_OF_LAST_LOOK = 3.0
 
 @contextmanager
 def page_beside(folder: Path, *, allow_code: bool) -> Iterator[None]:
-    """Serve the page of a run while it goes on."""
+    """Serve the page of a run while it is running."""
     page = LivePage(folder, allow_code=allow_code)
     with page, _opened(page.address):
         yield
@@ -43,8 +43,8 @@ def browse(options: Namespace, answer: Answer) -> None:
     """
     if options.json:
         raise RunFolderError(
-            "--browser: must be used without --json, because it serves a page until Ctrl-C and "
-            "prints no document; remove one of the two"
+            "--browser: must be used without --json, because --browser serves a page until Ctrl-C "
+            "and prints no document; remove one of the two"
         )
     folder: Path = options.run_folder
     if not (folder / "run.json").is_file() and not runs_below(folder):
@@ -58,7 +58,7 @@ def browse(options: Namespace, answer: Answer) -> None:
             while True:
                 time.sleep(SECONDS_OF_SLEEP)
     except KeyboardInterrupt:  # the way in which it ends
-        answer.say("the page is closed")
+        answer.say("the page was closed")
 
 
 @contextmanager
@@ -68,7 +68,7 @@ def _opened(address: str) -> Iterator[None]:
     A browser is given a file that only this user can read and that leads to the page: other users
     see the arguments of its process, and would see the token.
     """
-    print(f"cluster-est: the page of the run is {address}", file=sys.stderr, flush=True)
+    print(f"cluster-est: the page of the run is at {address}", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory(prefix="cluster-est-page-") as folder:
         if _has_screen():
             file = Path(folder) / "open.html"

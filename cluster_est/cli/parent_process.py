@@ -20,22 +20,22 @@ from pathlib import Path
 from typing import NoReturn
 
 SENTENCE = (
-    "cluster-est: the process of this command has died ({}). Something in it has crashed or ended "
-    "it, or it was killed from outside. Ray ends it when Ray's process on this machine dies, for "
-    "example for lack of memory. --resume continues a run that was begun"
+    "cluster-est: the process of this command has died ({}). It crashed, or was ended from inside "
+    "or outside. Ray, for example, ends it if Ray's own process on this machine dies, perhaps "
+    "because memory ran out. Continue a run that had begun with --resume"
 )
 OF_FMU = (
-    "cluster-est: the process of this command has died ({}). An FMU that runs in it has crashed or "
-    'ended it, or it was killed from outside. With executor.name = "processes" each FMU has a '
-    "process of its own, and a crash costs only its simulation. --resume continues a run that was "
-    "begun"
+    "cluster-est: the process of this command has died ({}). An FMU that runs in this process "
+    'crashed or ended it, or it was killed from outside. With executor.name = "processes", each '
+    "FMU has a process of its own, and a crash ends only one simulation. Continue a run that had "
+    "begun with --resume"
 )
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
 INTERRUPTS_BEFORE_KILL = 4
 """Interrupts after which the child is killed: it may hang in an FMU, where none comes through."""
 INTERRUPTED = (
-    "cluster-est: interrupted ({} before the process of this command could end in order); --resume "
-    "continues a run that was begun"
+    "cluster-est: interrupted ({} before the process of this command could end in order); continue "
+    "a run that had begun with --resume"
 )
 FAREWELL, LOADED = b"farewell\n", b"loaded\n"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h

@@ -15,7 +15,7 @@ from workers.effects.kinds import SiteKind
 from workers.fmu.description import nearest
 
 CODES_IN_WORDS = (
-    "0 done; 1 ran, but reached no solution; 2 bad input; 3 a criterion of --fail-if is "
+    "0 done; 1 done, but no solution was reached; 2 bad input; 3 a criterion of --fail-if is "
     "met; 130 interrupted"
 )
 FIRST_EXAMPLES = (
@@ -130,7 +130,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options, rest = parser.parse_known_args(arguments)
     for argument in rest:
         if argument.startswith("-") or "=" not in argument or "overrides" not in options:
-            parser.error(f"unrecognized argument: {argument}; overrides are written key=value")
+            parser.error(f"unrecognized argument: {argument}; write overrides as KEY=VALUE")
     if rest:
         options.overrides = [*options.overrides, *rest]
     return options
@@ -172,31 +172,33 @@ def make_parser() -> argparse.ArgumentParser:
     check = _with_config(
         commands,
         "check",
-        "find problems of a config, its data and its FMU, or of an FMU alone",
+        "find problems in a config, its data and its FMU, or in an FMU alone",
         config="the TOML file, or an FMU",
     )
     check.add_argument(
         "--seconds",
         type=_seconds,
         default=None,
-        help="time for all checks together (default 4); 0: only read everything",
+        help="time in seconds for all checks together (default: 4); 0: only read everything",
     )
     for name, summary in (
         ("fit", "estimate the parameters"),
-        ("close-loop", "find effects that the model lacks, add them and fit again"),
-        ("sensitivity", "rank the unknowns by their influence on cost and outputs"),
+        ("close-loop", "search for effects that the model lacks, add them and fit again"),
+        ("sensitivity", "rank the unknowns by their influence on the cost and the outputs"),
     ):
         command = _with_config(commands, name, summary)
-        command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
+        command.add_argument(
+            "--out", type=Path, required=True, help="folder to which the run is written"
+        )
         _add_existing(command)
     _add_design(commands)
     simulate = _with_config(
         commands,
         "simulate",
-        "simulate every experiment, with the start values or with the estimates of a run",
+        "simulate every experiment, at the start values or with the estimates of a run",
     )
     simulate.add_argument(
-        "--out", type=Path, required=True, help="table to write: .parquet, .feather or .csv"
+        "--out", type=Path, required=True, help="table to write (.parquet, .feather or .csv)"
     )
     simulate.add_argument(
         "--run", dest="run_folder", type=Path, help="use the estimates of this run"
@@ -205,12 +207,14 @@ def make_parser() -> argparse.ArgumentParser:
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
     show.add_argument("--failures", action="store_true", help="list failed simulations, for replay")
     show.add_argument(
-        "--search", help="iteration table of this search, such as 'start 3'; default: the best one"
+        "--search",
+        help="print the iteration table of this search, such as 'start 3'; default: "
+        "the best search",
     )
     report = _command(
         commands,
         "report",
-        "write the report of a run or a sweep, one HTML file that needs no network",
+        "write the report of a run or a sweep: one HTML file that needs no network",
     )
     _with_run(report, "folder of the run or of the sweep")
     report.add_argument("--out", type=Path, help="file to write; default: RUN/report.html")
@@ -243,15 +247,15 @@ def _add_for_programs(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--json",
         action="store_true",
-        help="print one JSON document, with the same sentences and all digits",
+        help="print one JSON document with the same sentences and with all digits",
     )
     command.add_argument(
         "--fail-if",
         metavar="EXPRESSION",
         action="append",
         default=[],
-        help="end with exit code 3 if this is true of the fields of the JSON document, as in "
-        "--fail-if 'rmse_test > 1.5'; may be given several times",
+        help="end with exit code 3 if this expression is true for the fields of the JSON document, "
+        "as in --fail-if 'rmse_test > 1.5'; may be given several times",
     )
 
 
@@ -261,7 +265,7 @@ def _with_config(
     command = _command(commands, name, summary)
     command.add_argument("config", metavar="CONFIG", type=Path, help=config)
     command.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys of the config"
+        "overrides", metavar="KEY=VALUE", nargs="*", help="override a key of the config"
     )
     _add_allow_code(command)
     return command
@@ -283,42 +287,45 @@ def _add_init(commands: Commands) -> None:
         type=Path,
         nargs="*",
         help="tables, one for each experiment (.csv, .parquet, .feather, .mat, and with "
-        "cluster-est[files] .h5, .mf4, .tdms, .xlsx); the last of several is held out; "
-        "or a folder of PEtab-like tables; default: the reference results in the FMU",
+        "cluster-est[files] .h5, .mf4, .tdms, .xlsx), of which the last is held out if there "
+        "are several; or a folder of PEtab-like tables; default: the reference results in the "
+        "FMU",
     )
     init.add_argument(
         "--read",
         metavar="KEY=VALUE",
         action="append",
         default=[],
-        help="a key that says how to read the tables: encoding, skip_rows, decimal, sheet, "
-        "time_format or time_zone, as in --read encoding=cp1252; may be given several "
-        "times",
+        help="how to read the tables: encoding, skip_rows, decimal, sheet, time_format or "
+        "time_zone, as in --read encoding=cp1252; may be given several times",
     )
     init.add_argument(
         "--map",
         metavar="VARIABLE=COLUMN",
         action="append",
         default=[],
-        help="the column of a variable of the FMU, or of time, as in --map u='Voltage (V)'; "
-        "may be given several times; default: columns are matched by name",
+        help="column for a variable of the FMU, or for time, as in --map u='Voltage (V)'; may be "
+        "given several times; default: columns are matched by name",
     )
     init.add_argument(
         "--out", type=Path, help="TOML file to write; default: the name of the FMU, in this folder"
     )
-    init.add_argument("--overwrite", action="store_true", help="replace that file")
+    init.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
 
 
 def _add_design(commands: Commands) -> None:
     summary = (
-        "choose the input of the next experiment, to distinguish rivals or reduce uncertainties"
+        "choose the input of the next experiment, to distinguish rival models or to reduce "
+        "uncertainties"
     )
-    design = _with_run(_command(commands, "design", summary), "folder of a fit or a closed loop")
+    design = _with_run(
+        _command(commands, "design", summary), "folder of a run of fit or close-loop"
+    )
     design.add_argument(
         "overrides",
         metavar="KEY=VALUE",
         nargs="*",
-        help="overrides of the keys of executor, budget and log of the run",
+        help="override a key of executor, budget or log of the run",
     )
     design.add_argument(
         "--limits", type=Path, required=True, help="TOML file with the limits of the experiment"
@@ -327,8 +334,8 @@ def _add_design(commands: Commands) -> None:
         "--out",
         type=Path,
         required=True,
-        help="table to write the input to (.csv); the run folder of the design has the same name "
-        "without .csv",
+        help="table (.csv) to which the input is written; the run folder of the design has the "
+        "same name without .csv",
     )
     design.add_argument(
         "--predict",
@@ -348,56 +355,60 @@ def _add_existing(command: argparse.ArgumentParser) -> None:
     present.add_argument(
         "--resume",
         action="store_true",
-        help="resume the interrupted run in that folder; begin a new one if there is none",
+        help="resume the interrupted run in that folder; start a new run if there is none",
     )
-    command.add_argument("--no-report", action="store_true", help="write no report.html")
+    command.add_argument("--no-report", action="store_true", help="do not write report.html")
     command.add_argument(
         "--browser",
         action="store_true",
-        help="show the run in a browser while it goes on, at an address that only this machine "
+        help="show the run in a browser while it is running, at an address that only this machine "
         "can reach",
     )
 
 
 def _add_watch(commands: Commands) -> None:
     summary = (
-        "follow a run from another terminal or machine, through its folder; with --json "
-        "print the state once"
+        "follow a run from another terminal or machine, through its folder; with --json, print its "
+        "state once"
     )
     watch = _with_run(
         _command(commands, "watch", summary), "folder of a run, or a folder of several runs"
     )
     how = watch.add_mutually_exclusive_group()
-    how.add_argument("--html", action="store_true", help="also update RUN/report.html")
+    how.add_argument("--html", action="store_true", help="also keep RUN/report.html up to date")
     how.add_argument(
         "--browser",
         action="store_true",
-        help="serve a page with cost, parameters, curves, workers and failures, until Ctrl-C, at "
-        "an address that only this machine can reach; for a folder of runs, the page shows "
-        "all of them",
+        help="serve a page with cost, parameters, curves, workers and failures until Ctrl-C, at an "
+        "address that only this machine can reach; for a folder of runs, the page shows all "
+        "of them",
     )
     watch.add_argument(
         "--port",
         type=_port,
         default=0,
-        help="port of the page of --browser; default: any free port",
+        help="port of the page that --browser serves; default: any free port",
     )
     watch.add_argument(
-        "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
+        "--every",
+        metavar="SECONDS",
+        type=_period,
+        default=1.0,
+        help="seconds between two updates (default: 1)",
     )
     _add_moved_config(watch)
 
 
 def _add_sweep(commands: Commands) -> None:
-    sweep = _command(commands, "sweep", "do all runs of a sweep that are not done yet")
+    sweep = _command(commands, "sweep", "do all runs of a sweep that have not been done yet")
     sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
     sweep.add_argument(
-        "--out", type=Path, required=True, help="folder with a run folder for each run"
+        "--out", type=Path, required=True, help="folder that contains a run folder for each run"
     )
     sweep.add_argument(
         "--retry-failed",
         action="store_true",
-        help="try failed runs again, even if nothing has changed",
+        help="repeat failed runs, even if nothing has changed",
     )
     _add_allow_code(sweep)
 
@@ -406,13 +417,16 @@ def _add_replay(commands: Commands) -> None:
     summary = "repeat one logged simulation and show the messages of the FMU"
     replay = _with_run(_command(commands, "replay", summary))
     replay.add_argument(
-        "number", metavar="ID", type=int, help="row of the log, from 0; see show RUN --failures"
+        "number",
+        metavar="ID",
+        type=int,
+        help="row of the simulation in the log, counted from 0; see show RUN --failures",
     )
     _add_moved_config(replay)
 
 
 def _add_export(commands: Commands) -> None:
-    summary = "write the results of a run: a repaired FMU, a parameter set, equations"
+    summary = "write the results of a run: a repaired FMU, a parameter set, or equations"
     export = _with_run(_command(commands, "export", summary))
     export.add_argument(
         "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
@@ -420,7 +434,7 @@ def _add_export(commands: Commands) -> None:
     export.add_argument(
         "--no-step",
         action="store_true",
-        help="skip the search for a communication step that reproduces the error of the run; the "
+        help="skip the search for a communication step that reproduces the error of the run; this "
         "search takes some seconds",
     )
     export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
@@ -428,14 +442,14 @@ def _add_export(commands: Commands) -> None:
         "--csv", type=Path, help="write the values as a table: name, value, unit, interval (.csv)"
     )
     export.add_argument(
-        "--modelica", action="store_true", help="print the effects as equations of Modelica"
+        "--modelica", action="store_true", help="print the effects as Modelica equations"
     )
     export.add_argument("--text", action="store_true", help="print values and effects as text")
     export.add_argument(
         "--experiment",
         metavar="ID",
-        help="id of the experiment whose values are used, if parameters have a value for each "
-        "experiment",
+        help="id of the experiment whose values are used, for parameters that have a value for "
+        "each experiment",
     )
     _add_moved_config(export)
 
@@ -444,17 +458,17 @@ def _add_forms(commands: Commands) -> None:
     summary = "list the forms of effects, with their sites and coefficients"
     forms = _command(commands, "forms", summary)
     forms.add_argument(
-        "form", metavar="FORM", nargs="?", help="describe this form, with a block for a config"
+        "form", metavar="FORM", nargs="?", help="describe this form, and print a block for a config"
     )
     forms.add_argument(
         "--site",
         choices=get_args(SiteKind),
-        help="only forms for sites of this kind",
+        help="list only forms for this kind of site",
     )
 
 
 def _add_moved_config(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--config", type=Path, help="the config of the run, if it has moved")
+    command.add_argument("--config", type=Path, help="config of the run, if it has been moved")
     _add_allow_code(command)
 
 
@@ -462,26 +476,26 @@ def _add_allow_code(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--allow-code",
         action="store_true",
-        help="allow Python functions in the config to run, here and on the workers",
+        help="allow Python functions in the config to run, on this machine and on the workers",
     )
 
 
 def _seconds(text: str) -> float:
     seconds = float(text)
     if seconds != 0.0 and not 0.5 <= seconds < 1e6:
-        raise argparse.ArgumentTypeError(f"must be 0 or a number from 0.5 on but is {text}")
+        raise argparse.ArgumentTypeError(f"must be 0, or a number of at least 0.5, but is {text}")
     return seconds
 
 
 def _port(text: str) -> int:
     port = int(text)
     if not 0 <= port < 2**16:
-        raise argparse.ArgumentTypeError(f"must be a number from 0 to 65535 but is {text}")
+        raise argparse.ArgumentTypeError(f"must be a number from 0 to 65535, but is {text}")
     return port
 
 
 def _period(text: str) -> float:
     seconds = float(text)
     if not 0.1 <= seconds < 1e5:
-        raise argparse.ArgumentTypeError(f"must be a number from 0.1 to 100000 but is {text}")
+        raise argparse.ArgumentTypeError(f"must be a number from 0.1 to 100000, but is {text}")
     return seconds

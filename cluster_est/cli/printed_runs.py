@@ -38,7 +38,7 @@ def print_design(answer: Answer, run: StoredRun) -> None:
     if models:
         answer.rows(
             models,
-            ("if this is right, its probability", "model"),
+            ("if this model is right, its probability", "model"),
             ("now", _percents("before")),
             ("after it", _percents("after")),
             ("after a random input", _percents("random")),
@@ -191,7 +191,7 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
         answer.tell(f"  {effect['claim']['sentence']}")
     narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
-        held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
+        held = " (held constant)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
         unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
         answer.say(f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
@@ -199,7 +199,7 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
     for other in effect["alternatives"]:
         answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     if any(_differs(other) for other in effect["alternatives"]):
-        answer.say("  (an experiment at the point where they differ most would distinguish them)")
+        answer.say("(an experiment at the point where they differ most could distinguish them)")
     elif effect["alternatives"]:
         answer.say("  (nothing in these data distinguishes them)")
     else:
@@ -293,7 +293,9 @@ def _print_rest(answer: Answer, facts: Facts) -> None:
     """Print the effects that did not pass, the noise and the open sites."""
     for effect in facts["rejected"]:
         said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
-        known = effect.get("claim") or {"sentence": "it shows where to look, not what is missing"}
+        known = effect.get("claim") or {
+            "sentence": "this shows where to look, but not what is missing"
+        }
         answer.say(said + known["sentence"])
         for other in effect["alternatives"]:
             answer.tell(f"  cannot be distinguished from: {_alternative(other)}")

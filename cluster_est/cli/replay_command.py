@@ -60,8 +60,8 @@ def print_question(answer: Answer, logged: LoggedSimulation, question: ReplayReq
     answer.say(f"then: {_ending(logged.status, logged.message, logged, logged.cost)}")
     if not question.same:
         answer.say(
-            "note: the FMU, its solver, the data, their weights or the effects are no longer "
-            "the same as in the run",
+            "note: the FMU, its solver, the data, their weights or the effects are not the same as "
+            "in the run",
         )
     answer.say("messages of the FMU, if any:")
 
@@ -99,7 +99,7 @@ def print_failures(answer: Answer, run_folder: Path) -> None:
         ["ID", "search", "purpose", "experiment", "status", "message"],
         [(str(f.number), f.search, f.purpose, f.experiment, f.status, f.message) for f in failed],
     )
-    answer.say(f"to repeat one: cluster-est replay {run_folder} ID")
+    answer.say(f"to repeat a simulation: cluster-est replay {run_folder} ID")
 
 
 def _failed(each: LoggedSimulation) -> dict[str, Any]:

@@ -165,7 +165,7 @@ def simulate(options: Namespace, answer: Answer) -> int:
         answer.complain(sentence)
     writer = _table_writer(out)
     if out.is_dir():
-        raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
+        raise RunFolderError(f"--out: {out} must be a file, but is a folder; choose a file")
     problem = build_problem(config, options.config.parent, allow_code=options.allow_code)
     values = {} if options.run_folder is None else read_estimates(options.run_folder, problem)
     simulations = list(run_simulate(problem, resources, values).values())
@@ -211,14 +211,17 @@ def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
     if not path.is_file():
         if (run_folder / "run.json").is_file():
             check_has_estimates(run_folder)
-        raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
+        raise RunFolderError(
+            f"{run_folder}: must be the folder of a finished run, but is not; "
+            "finish the run with --resume"
+        )
     rows = [r for r in read_run_table(path) if r["estimated_on"] in ("train", "test")]
     known = {parameter.name for parameter in problem.parameters}
     strange = list(dict.fromkeys(r["label"] for r in rows if r["parameter"] not in known))
     if strange:
         raise RunFolderError(
-            f"--run: {run_folder} must have estimated what the config declares but also has "
-            f"{', '.join(strange)}; add the run's [[effects]] and parameters to the config"
+            f"--run: the run in {run_folder} also estimated {', '.join(strange)}, which the config "
+            "does not declare; add the run's [[effects]] and parameters to the config"
         )
     return {row["label"]: row["value"] for row in rows}
 
@@ -231,6 +234,6 @@ def _table_writer(out: Path):  # type: ignore[no-untyped-def]
     }
     if out.suffix.lower() not in writers:
         raise RunFolderError(
-            f"--out: must end in one of {', '.join(writers)} but is {out.name!r}; rename it"
+            f"--out: must end in one of {', '.join(writers)}, but is {out.name!r}; rename it"
         )
     return writers[out.suffix.lower()]

@@ -28,8 +28,8 @@ HINT_SECONDS = 20.0
 """Seconds in which all workers were busy and as many simulations again were waiting."""
 
 BUILDS_CORE = (
-    "compiling the simulation core, once on this machine; this takes about 10 s, or longer if "
-    "other programs keep the processor busy"
+    "compiling the simulation core, which is needed only once on this machine; this takes about 10 "
+    "s, or longer if other programs use the processor"
 )
 
 EXIT_CODES = {
@@ -102,9 +102,9 @@ class WorkerHint:
         self._said = True
         verb = "simulates" if workers == 1 else "simulate"
         return (
-            f"{workers} of this machine's {self._cores} cores {verb} while {snapshot.waiting} "
-            f"simulations wait; executor.workers={self._useful} would be faster, and the result "
-            "the same (stop with Ctrl-C, continue with --resume)"
+            f"{workers} of this machine's {self._cores} cores {verb}, while {snapshot.waiting} "
+            f"simulations wait. The run would be faster with executor.workers={self._useful}, and "
+            "its result the same: stop it with Ctrl-C, and continue with --resume"
         )
 
 

@@ -126,8 +126,8 @@ def rendered(view: RunView) -> Group:
     if not view.ended and view.quiet > QUIET_SECONDS:
         parts.append(
             Text(
-                f"the run has written nothing for {duration(view.quiet)}, although a run that "
-                "is alive writes every few seconds: it may hang, be paused, or have been killed"
+                f"the run has written nothing for {duration(view.quiet)}, although a live run "
+                "writes every few seconds: it may hang, be paused, or have been killed"
             )
         )
     if view.searches:
@@ -181,7 +181,7 @@ def _searches(searches: tuple[SearchView, ...]) -> Table:
             Text(line.ending),
         )
     if len(searches) > MOST_SEARCHES:
-        table.caption = f"the last {MOST_SEARCHES} of {len(searches)}"
+        table.caption = f"the last {MOST_SEARCHES} of {len(searches)} searches"
     return table
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
+from cluster_est.closed_loop.findings.claim_evidence import doubted, how_sure, with_claims
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
     choice_price,
@@ -28,7 +28,6 @@ from cluster_est.closed_loop.findings.description import (
     shared_arguments,
     where_left,
 )
-from cluster_est.closed_loop.findings.doubts import doubted
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,

@@ -80,7 +80,7 @@ class DetectionResult:
             return self.numerical_error
         if self.missing:
             count = f"{self.candidates} candidate{'' if self.candidates == 1 else 's'}"
-            return f"something is missing ({_p(self.p)} among {count})"
+            return f"the model lacks something ({_p(self.p)} among {count})"
         smooth = self.p_structure <= FAMILY_WISE_LEVEL
         if not self.candidates:
             found = "has smooth structure" if smooth else "looks like noise"

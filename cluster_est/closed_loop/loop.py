@@ -180,8 +180,8 @@ def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> 
     """Say first which numbers are hardly measurements; those of outputs have been left out."""
     if not said:
         return result
-    sentences = [f"look at the records first: {what}; {do}" for what, do in said]
-    aside = "; such samples of outputs are left out of fits, errors and tables here"
+    sentences = [f"check the records first: {what}; {do}" for what, do in said]
+    aside = "; this run leaves such output samples out of fits, errors and tables"
     message = f"{'; '.join(sentences)}{aside}; {result.message}"
     return replace(result, message=message)
 
@@ -193,5 +193,5 @@ def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None
     """
     if other is None:
         return result
-    message = f"{result.message}; but the measurements prefer {other.key}: set it first"
+    message = f"{result.message}; but the model fits better with {other.key}: set it first"
     return replace(result, message=message, notes=(other.sentence, *result.notes))

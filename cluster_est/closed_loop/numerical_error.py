@@ -119,8 +119,8 @@ class NumericalError:
     def refusal(self) -> str:
         """Return why no effect is looked for, in a sentence."""
         return (
-            f"{self._said}, so no missing effect can be distinguished from it: set "
-            f"{self._advice} first, and run this again"
+            f"{self._said}, so a missing effect cannot be distinguished from this error: set "
+            f"{self._advice} first, then run again"
         )
 
     @property
@@ -129,18 +129,21 @@ class NumericalError:
         if self.why_not:
             cannot = (
                 f"the numerical error of {self.scale.name} could not be measured: {self.why_not}; "
-                "the finding may be due to it"
+                "the finding may be an artefact of this error"
             )
             return (*self.beside, cannot)
         if self.hides_effects:
-            why = f"no effect was looked for, because {self._said}"
-            return (*self.beside, f"{why}; {self._advice} makes it negligible")
+            why = f"the search looked for no effects, because {self._said}"
+            return (*self.beside, f"{why}; {self._advice} makes this error negligible")
         if self.ratio > NUMERICAL_ERROR.small:
-            said = f"{self._said}; an effect that explains no more than this error could is refused"
-            return (*self.beside, f"{said}; {self._advice} makes it negligible")
+            said = (
+                f"{self._said}; the search refuses an effect that explains no more than this "
+                "error could explain"
+            )
+            return (*self.beside, f"{said}; {self._advice} makes this error negligible")
         if self.scale.rtol > NUMERICAL_ERROR.loose:
             said = f"{self._said}, which is negligible here"
-            return (*self.beside, f"{said}; {self._advice} keeps it so elsewhere")
+            return (*self.beside, f"{said}; {self._advice} keeps it negligible in other cases too")
         return self.beside
 
     @property
@@ -148,8 +151,14 @@ class NumericalError:
         """Sentences on the error of a model with effects; none where it is small."""
         if not self.ratio > NUMERICAL_ERROR.small:
             return ()
-        refused = "a further effect that explains no more than this error could is refused"
-        return (f"with the effects, {self._said}; {refused}; {self._advice} makes it negligible",)
+        refused = (
+            "the search refuses a further effect that explains no more than this error could "
+            "explain"
+        )
+        return (
+            f"with the effects, {self._said}; {refused}; {self._advice} makes this error "
+            "negligible",
+        )
 
     @property
     def _said(self) -> str:
@@ -159,8 +168,8 @@ class NumericalError:
         size = f"{figure} times the noise"
         if not np.isfinite(self.ratio):  # there is none
             size = f"{self.rms[largest] / self.residual[largest]:.2g} times the remaining residual"
-        how = "" if np.isnan(self.order) else f", of order {self.order:.2g} in the step"
-        return f"{self.scale.name} has an error of {size} (at {output}{how})"
+        how = "" if np.isnan(self.order) else f"; convergence order {self.order:.2g}"
+        return f"{self.scale.name} causes an error of {size} (at {output}{how})"
 
     @property
     def _advice(self) -> str:
@@ -230,7 +239,7 @@ def measure_numerical_error(
     try:
         error, order = _error(fitter, fitted, noise, scale, resources)
     except (_NoSolutionError, ClusterEstError) as why:
-        return replace(unknown, why_not=f"a finer one fails ({why})")
+        return replace(unknown, why_not=f"the simulation with a finer solver setting fails ({why})")
     return replace(
         unknown,
         rms=_rms(fitter, error),
@@ -280,7 +289,9 @@ def _error(
         return error, LEAST_ORDER
     second = once - _residuals(fitter, fitted, scale.finer(2), resources)
     if scale.fixed and float(np.add.reduce(second**2)) >= float(np.add.reduce(first**2)):
-        raise _NoSolutionError("the outputs change more with a shorter fixed step")
+        raise _NoSolutionError(
+            "shortening the fixed step a second time changes the outputs more than the first time"
+        )
     order = observed_order(first, second, scale.ratio)
     return extrapolated(first, scale.ratio, order), order
 

@@ -41,11 +41,12 @@ from workers.messages import Role
 
 MOST_PASSES = 4
 NOT_LOOKED_FOR = (
-    "process noise: these were not looked for: outliers, noise that grows with the signal, "
-    "effects at outputs, delays, backlash and rate limits"
+    "with process noise, the search does not look for outliers, noise that grows with the signal, "
+    "effects at outputs, delays, backlash or rate limits"
 )
 NOT_AGAIN = (
-    "{} would replace a part of the process noise, but is no longer found under the remaining noise"
+    "{} would replace a part of the process noise, but the search finds nothing under the "
+    "process noise that remains"
 )
 
 
@@ -146,8 +147,8 @@ def _unsettled(passed: list[frozenset[str]]) -> str:
     if not passed[-1] or passed[-1] in passed[:-1]:
         return ""
     return (
-        f"after {len(passed)} passes the search still found other effects than in the previous "
-        "pass: their names are uncertain"
+        f"after {len(passed)} passes, the search still found effects other than those of the "
+        "previous pass, so the names of the effects are uncertain"
     )
 
 
@@ -155,15 +156,18 @@ def noise_sentence(change: NoiseChange, *, kept: bool) -> str:
     """Say how strong process noise is, and was."""
     unit = f" {change.unit}" if change.unit not in ("", "1") else ""
     kind = "standard deviation" if change.coloured else "strength"
-    lasting = f", lasting {change.time_before:.3g} s" if change.coloured else ""
+    lasting = f", correlation time {change.time_before:.3g} s" if change.coloured else ""
     if not kept:
         return f"process noise {change.name}: {kind} {change.before:.3g}{unit}{lasting}"
     if change.coloured:
-        lasting = f", lasting {change.time_before:.3g} s before and {change.time_after:.3g} s now"
+        lasting = (
+            f"; the correlation time was {change.time_before:.3g} s before and is "
+            f"{change.time_after:.3g} s with the effects"
+        )
     left = change.variance_left
     return (
-        f"process noise {change.name}: {kind} {change.before:.3g} before and {change.after:.3g}"
-        f"{unit} now, {left:.0%} of its variance{lasting}"
+        f"process noise {change.name}: {kind} {change.before:.3g}{unit} before and "
+        f"{change.after:.3g}{unit} with the effects, which is {left:.0%} of the variance{lasting}"
     )
 
 
@@ -183,8 +187,8 @@ def check_noise_parameters(problem: Problem) -> None:
             if given:
                 raise ProblemError(
                     f"close-loop: {dotted('parameters', parameter.name)}.{key}: must be left out, "
-                    f"because a search fixes process noise at one number, but is {given!r}; "
-                    "remove it"
+                    f"because the search fixes process noise at one number, but {key} is "
+                    f"{given!r}; remove it"
                 )
 
 
@@ -227,8 +231,8 @@ def hold_noise(
     (fitted,) = fitter.fit(LoopStage.PROCESS_NOISE, [start], WITH_NOISE)
     if fitted is None:
         raise ProblemError(
-            "close-loop: the model cannot be simulated with its process noise from its start "
-            "values; try cluster-est check, and other start values"
+            "close-loop: the model with process noise cannot be simulated from its start values; "
+            "run cluster-est check, or change the start values"
         )
     estimates = fitted.estimates
     spreads = _log_spreads(fitter, fitted)
@@ -288,8 +292,8 @@ def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
     fall = _deviance(fits.before, "train") - _deviance(fits.after, "train")
     if not fall > needed:
         return (
-            f"-2 log likelihood falls by {fall:.1f} if the noise is estimated too, and must fall "
-            f"by {needed:.1f} for a choice among {count} candidates"
+            f"if the noise is estimated too, -2 log likelihood falls by {fall:.1f}, but a choice "
+            f"among {count} candidates needs a fall of {needed:.1f}"
         )
     worse = _deviance(fits.after, "test") - _deviance(fits.before, "test")
     if worse > 0.0:
@@ -308,7 +312,7 @@ def simulation_sentence(fitter: Fitter, before: Result, after: Result) -> str:
     if not said:
         return ""
     return (
-        "simulated from start to end without process noise, the root mean square error goes "
+        "in simulations from start to end without process noise, the root mean square error goes "
         + " and ".join(said)
     )
 

@@ -5,7 +5,7 @@
         for each move: propose structures, choose the best that passes all gates
         if there is none: stop
         model = the best, without effects that no longer pay
-    if the model may not be claimed: try a free curve or filter in the place of all effects
+    if the model leaves more than noise: try a free curve or filter in the place of all effects
     model = the accepted one that predicts best what is left out of refits
     judge the model
 
@@ -33,7 +33,7 @@ from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, 
 from cluster_est.closed_loop.selection.answer import answers, without_effects
 from cluster_est.closed_loop.selection.argument_functions import curve_instead
 from cluster_est.closed_loop.selection.gates import choose, reason_to_stop
-from cluster_est.closed_loop.selection.moves import MOVES, drop
+from cluster_est.closed_loop.selection.moves import MOVES, drop, release_widths
 from cluster_est.closed_loop.selection.refits import rivals_of
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
@@ -211,12 +211,14 @@ def grow(
             continue
         if first is None and not begun.model.added:
             first = replace(begun, screening=begun.screening.without_bases())
-        model, prediction = drop(fitter, begun, best.won.fitted), best.prediction
+        won, prediction = best.won.fitted, best.prediction
+        model = release_widths(fitter, begun, drop(fitter, begun, won))
         found = rivals_of(best.won, best.seen.contenders)
         rivals = {**found, **now.rivals, **{name: own for name, own in found.items() if own[1]}}
-        if model is not best.won.fitted:
-            log.keep(AcceptedStructure(best.won.fitted, prediction, rivals))
+        if model.structure != won.structure:
+            log.keep(AcceptedStructure(won, prediction, rivals))
             log.accept(model, LoopPart.DROP)
+        if model is not won:
             prediction = predict(fitter, model)
         if model.structure in passed:
             break

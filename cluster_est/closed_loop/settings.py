@@ -67,6 +67,7 @@ class LoopPart(enum.StrEnum):
     FREE_DYNAMICS = "free dynamics"
     SIBLINGS = "siblings"
     DROP = "drop"
+    SWITCH_WIDTHS = "switch widths"
     FUNCTIONS_OF_TIME = "functions of time"
     PLACES_FIRST = "places first"
     PRUNING = "pruning"
@@ -91,7 +92,9 @@ def _parts(given: tuple[str, ...]) -> tuple[str, ...]:
     known = [part.value for part in LoopPart]
     for name in given:
         if name not in known:
-            raise sentence(f"closed_loop.without: there is no part {name!r}{nearest(name, known)}")
+            raise sentence(
+                f"closed_loop.without: the search has no part {name!r}{nearest(name, known)}"
+            )
     return given
 
 
@@ -112,21 +115,27 @@ class LoopSettings(Settings):
         0.01,
         gt=0.0,
         lt=1.0,
-        description="largest family-wise p-value at which something counts as missing",
+        description="largest family-wise p-value at which an effect counts as missing",
     )
     draws: int = Field(
         2000, ge=100, le=LARGEST_INTEGER, description="Monte Carlo draws of each null distribution"
     )
-    trials: Positive = Field(30, description="number of candidates that are tried by a simulation")
+    trials: Positive = Field(
+        30, description="number of candidates that are each tried by a simulation"
+    )
     refits: Positive = Field(
         12,
-        description="number of these candidates that get a short refit; a third of them get a full "
-        "one",
+        description=(
+            "number of the tried candidates that get a short refit; a third of the refitted "
+            "candidates get a full refit"
+        ),
     )
     starts: Positive = Field(
         8,
-        description="starts for the fit of the declared model, if one is not enough to reach the "
-        "noise",
+        description=(
+            "number of starts for the fit of the declared model, if the fit from one start does "
+            "not reach the noise"
+        ),
     )
     least_gain: Finite = Field(
         0.2,
@@ -136,10 +145,12 @@ class LoopSettings(Settings):
     near_noise: Finite = Field(
         1.5,
         ge=1.0,
-        description="largest error over the noise, in training and held out, for the verdict "
-        '"found"',
+        description=(
+            "largest error, as a multiple of the noise, on training and held-out data, for the "
+            'verdict "found"'
+        ),
     )
-    pairs: bool = Field(True, description="try two effects at once if no single one is enough")
+    pairs: bool = Field(True, description="try two effects at once if no single effect is enough")
     without: Annotated[Names, AfterValidator(_parts)] = Field(
         (),
         description="parts of the search to leave out, such as drop, to measure their benefit",

@@ -97,8 +97,8 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     for name in config.values:
         if name in targets:
             raise ConfigError(
-                f"{dotted('values', name)}: is also a parameter; remove one of the two, or set "
-                f"{dotted('parameters', name)}.fixed = true"
+                f"{dotted('values', name)}: must not also be a parameter, but is; remove one of "
+                f"the two, or set {dotted('parameters', name)}.fixed = true"
             )
     # a sensor shows what all else has left
     effects = (*build_effects(tuple(config.effects)), *build_shared_sensors(config))
@@ -130,8 +130,9 @@ def _check_units(units: Mapping[str, str], description: ModelDescription) -> Non
         variable = description.variables.get(name)
         if variable is not None and variable.unit not in ("", unit):
             raise ConfigError(
-                f"value_files: {name} must be in {variable.unit!r}, as in the FMU, but is in "
-                f"{unit!r}; give it in that unit, as the FMU spells it: no number is converted"
+                f"value_files: {name} must be in {variable.unit!r}, the unit in the FMU, but is in "
+                f"{unit!r}; convert the number, because cluster-est does not, and write the unit "
+                "as the FMU spells it"
             )
 
 
@@ -149,7 +150,10 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     try:
         archive = path.read_bytes()
     except OSError as error:
-        raise ModelError(f"model.fmu: {path} cannot be read ({error.strerror})") from error
+        raise ModelError(
+            f"model.fmu: {path} cannot be read ({error.strerror}); check the path and "
+            "its permissions"
+        ) from error
     description = describe(path.name, archive)
     structure: dict[str, int] = {}
     for name, value in config.values.items():
@@ -225,14 +229,14 @@ def _check_shared(where: str, given: OutputSection, first: OutputSection) -> Non
         value, elsewhere = getattr(given, key), getattr(first, key)
         if value != elsewhere and "shared" in (value, elsewhere):
             raise ConfigError(
-                f'{where}.{key}: must be "shared" in all experiments with this output, or in none, '
-                f"but is {value!r} here and {elsewhere!r} in an earlier experiment; write {key} in "
-                "experiment_defaults"
+                f'{where}.{key}: must be "shared" in every experiment that has this output, or in '
+                f"none of them, but is {value!r} here and {elsewhere!r} in an earlier experiment; "
+                f"set {key} in experiment_defaults"
             )
         if value == "shared" and given.ordinal:
             raise ConfigError(
-                f'{where}.{key}: must not be "shared" for an ordinal output, because an order has '
-                f"no scale; remove {key} or ordinal"
+                f'{where}.{key}: must not be "shared" for an ordinal output, because only the '
+                f"order of its values counts; remove {key} or ordinal"
             )
     if given.free_offset == "shared" and given.free_scale is True:
         raise ConfigError(
@@ -277,8 +281,8 @@ def with_maps(config: Config) -> Config:
         for key, parameter in _parameters(section, table).items():
             if key in parameters:
                 raise ConfigError(
-                    f"{dotted('maps', name)}: its value {key} must have a unique name but there "
-                    "is a parameter of that name; rename one of the two"
+                    f"{dotted('maps', name)}: its value {key} must have a unique name, but there "
+                    "is also a parameter of that name; rename one of the two"
                 )
             parameters[key] = parameter
         if not section.fixed:
@@ -294,7 +298,7 @@ def _table(name: str, section: MapSection) -> ValueTable:
     check_table_name(name, where, "NAME_1, NAME_2, ...")
     if len(section.variables) != count:
         raise ConfigError(
-            f"{where}.variables: must have a name for each of the {count} points but has "
+            f"{where}.variables: must have a name for each of the {count} points, but has "
             f"{len(section.variables)}; add or remove some"
         )
     if isinstance(section.start, list) and len(section.start) != count:

@@ -52,7 +52,7 @@ def build_cost(config: Config) -> Cost:
     name = COST_ALIASES.get(config.cost.name, config.cost.name)
     if name == TotalCost.name and not config.cost.function:
         raise ConfigError(
-            f'cost.name: "{name}" needs a function that returns one number but cost.function is '
+            f'cost.name: "{name}" needs a function that returns one number, but cost.function is '
             "missing; add it, or choose another cost"
         )
     return _with_options(COSTS[name], config.cost.options, "cost.options")
@@ -130,11 +130,11 @@ class UserCode:
             If there is no such function.
         """
         if not _NAMED.fullmatch(text):
-            raise ConfigError(f'{where}: must be "module:name" but is {text!r}')
+            raise ConfigError(f'{where}: must be "module:name", but is {text!r}')
         if not self.allowed:
             raise ConfigError(
-                f"{where}: {text!r} is Python code, which runs only if it is allowed; if you "
-                "trust this config and its code, add --allow-code"
+                f"{where}: {text!r} names Python code, which cluster-est runs only if it is "
+                "allowed; if you trust this config and its code, add --allow-code"
             )
         module, name = text.split(":")
         file = self.base / f"{module}.py"
@@ -144,7 +144,8 @@ class UserCode:
                 source = file.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
                 raise ConfigError(
-                    f"{where}: {file} cannot be read ({error}); correct it"
+                    f"{where}: {file} cannot be read ({error}); correct the path, or the "
+                    "permissions of the file"
                 ) from error
         found = UserFunction(module, name, source, equality)
         load(found)

@@ -36,18 +36,19 @@ def read_toml(path: Path, missing: str) -> tuple[str, dict[str, Any]]:
     except UnicodeDecodeError as error:
         if path.suffix.lower() == ".fmu":
             raise ConfigError(
-                f"{path}: must be a config but is an FMU; write one with cluster-est init"
+                f"{path}: must be a config, but is an FMU; write a config for it with cluster-est "
+                "init"
             ) from None
         raise ConfigError(
-            f"{path}: must be text in UTF-8 but is not ({error.reason} at byte {error.start}); "
+            f"{path}: must be text in UTF-8, but is not ({error.reason} at byte {error.start}); "
             "save it as UTF-8"
         ) from None
     except OSError as error:
         raise ConfigError(
-            f"{path}: must be a readable file but is not ({error.strerror}); check the path"
+            f"{path}: must be a readable file, but is not ({error.strerror}); check the path"
         ) from error
     except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
-        raise ConfigError(f"{path}: must be TOML but is not: {error}; correct that line") from None
+        raise ConfigError(f"{path}: must be TOML, but is not: {error}; correct that line") from None
 
 
 _NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
@@ -149,7 +150,8 @@ def override(raw: dict[str, Any], text: str) -> None:
     key = key.strip()
     if not equals or not all(part.strip() for part in key.split(".")) or not text.isprintable():
         raise ConfigError(
-            f"{text!r}: must be key=value with dots in the key, like method.options.trials=8"
+            f"{text!r}: must be KEY=VALUE with a dot between the parts of the key, as in "
+            "method.options.trials=8"
         )
     *parents, last = _parts(key)
     target: Any = raw
@@ -159,7 +161,9 @@ def override(raw: dict[str, Any], text: str) -> None:
         else:
             target = target[_position(target, part, key)]
         if not isinstance(target, dict | list):
-            raise ConfigError(f"{key}: {part!r} is a value, not a table; remove what follows it")
+            raise ConfigError(
+                f"{key}: {part!r} is a value, not a table; remove the part of the key after it"
+            )
     target[last if isinstance(target, dict) else _position(target, last, key)] = _value(value)
 
 
@@ -183,7 +187,7 @@ def _position(entries: list[Any], part: str, key: str) -> int:
     if part.isascii() and part.isdigit() and int(part[:9]) < len(entries):
         return int(part[:9])
     known = [str(i) if name is None else str(name) for i, name in enumerate(names)]
-    raise ConfigError(f"{key}: there is no {part!r} in that list{nearest(part, known)}")
+    raise ConfigError(f"{key}: the list has no entry {part!r}{nearest(part, known)}")
 
 
 def _value(text: str) -> Any:
@@ -216,7 +220,10 @@ def unfilled(tree: dict[str, Any], text: str, where: str) -> Iterator[str]:
         quoted = json.dumps(value, ensure_ascii=False)
         found = [number for number, line in enumerate(lines, 1) if quoted in line]
         place = f"{where}, line {found[0]}" if found else where
-        yield f"{place}: {key} must be filled in but still is {quoted}; write its value there"
+        yield (
+            f"{place}: {key} must be filled in, but is still {quoted}; replace this text by the "
+            "value"
+        )
 
 
 def _texts(tree: Any, key: str = "") -> Iterator[tuple[str, str]]:

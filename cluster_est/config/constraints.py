@@ -72,8 +72,8 @@ def signal_bound(section: ConstraintSection, where: str, start: float, stop: flo
     if not (lower <= upper).all():
         at = times[np.flatnonzero(lower > upper)[0]]
         raise ConfigError(
-            f"{where}.lower: must not be above upper but is at {at:g} s; swap them, or use final "
-            "for a value that must be met"
+            f"{where}.lower: must not be above upper, but is above it at {at:g} s; swap them, or "
+            "use final for a value that the signal must have at the end"
         )
     return SignalBound(
         name=section.name or section.signal,
@@ -93,12 +93,13 @@ def _interval(
     first, last = max(first, start), min(last, stop)
     if section.between is not None and section.between[0] > section.between[1]:
         raise ConfigError(
-            f"{where}.between: must be [from, to] but is {list(section.between)}; swap them"
+            f"{where}.between: must be [from, to] with from before to, but is "
+            f"{list(section.between)}; swap them"
         )
     if not first <= last:
         raise ConfigError(
-            f"{where}.between: must overlap with the simulation, {start:g} to {stop:g} s, but is "
-            f"{list(section.between or ())}; change one"
+            f"{where}.between: must overlap the simulation, which runs from {start:g} to {stop:g} "
+            f"s, but is {list(section.between or ())}; change one of the two"
         )
     return first, last
 
@@ -111,8 +112,8 @@ def _check_step(step: StepSection, where: str) -> None:
         )
     if step.initial == step.final:
         raise ConfigError(
-            f"{where}.step_response.initial: must differ from final but both are "
-            f"{step.final:g}; use lower and upper for a signal that does not change"
+            f"{where}.step_response.initial: must differ from final, but both are {step.final:g}; "
+            "use lower and upper for a signal that does not change"
         )
 
 
@@ -132,8 +133,8 @@ def _check_finite_somewhere(
     for key, limit in limits.items():
         if getattr(section, key) is not None and not np.isfinite(limit).any():
             raise ConfigError(
-                f"{where}.{key}: must limit the signal at some time from {times[0]:g} to "
-                f"{times[-1]:g} s but does not; move its times"
+                f"{where}.{key}: must limit the signal at some time between {times[0]:g} and "
+                f"{times[-1]:g} s, but does not; move its times"
             )
 
 
@@ -160,7 +161,7 @@ def _level(
     if len(known) == 1:
         return np.full(len(times), values[0])
     if not (np.diff(known) >= 0.0).all():
-        raise ConfigError(f"{where}: its times must not decrease but do; sort the points")
+        raise ConfigError(f"{where}: the times must not decrease, but they do; sort the points")
     return np.asarray(np.interp(times, known, values, left=none, right=none))
 
 
@@ -280,7 +281,8 @@ def _check_kind(
     if len(kinds) != 1:
         has = " and ".join(kinds) or "none of them"
         raise ConfigError(
-            f"{where}: must have one of expression, signal and function but has {has}"
+            f"{where}: must have exactly one of expression, signal and function, but has {has}; "
+            "write one constraint for each"
         )
     _check_keys(section, kinds[0], where)
     _check_limits(section, where, measured)
@@ -297,8 +299,8 @@ def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
         default = ConstraintSection.model_fields[key].get_default(call_default_factory=True)
         if key not in ("name", kind, *_KEYS[kind]) and value != default:
             raise ConfigError(
-                f"{where}.{key}: must be left out with {kind}, where it has no meaning; remove "
-                "one of the two"
+                f"{where}.{key}: must be left out with {kind}, because it has no meaning there; "
+                "remove one of the two"
             )
     for key, other, fits in (("tolerance", "final", True), ("between", "final", False)):
         if getattr(section, key) and (section.final is not None) is not fits:
@@ -311,12 +313,14 @@ def _check_limits(section: ConstraintSection, where: str, measured: set[str]) ->
     keys = ("lower", "upper", "step_response", "tracking", "final")
     given = [key for key in keys if getattr(section, key) is not None]
     if section.signal and not given:
-        raise ConfigError(f"{where}.signal: must have a limit but has none; add {', '.join(keys)}")
+        raise ConfigError(
+            f"{where}.signal: must have a limit, but has none; add one of {', '.join(keys)}"
+        )
     for key in given:
         if key in keys[2:] and len(given) > 1:
             raise ConfigError(
-                f"{where}.{key}: must be the only limit but {' and '.join(given)} are given too; "
-                "make another constraint of these"
+                f"{where}.{key}: must be the only limit of its constraint, but "
+                f"{' and '.join(given)} are given; write a constraint for each kind of limit"
             )
     if section.tracking is not None and section.signal not in measured:
         raise ConfigError(

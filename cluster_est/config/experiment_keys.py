@@ -35,7 +35,11 @@ class InputSection(ConfigSection):
 
     column: str = Field(description="column of the data; * stands for any text in its name")
     interpolation: Interpolation = Field("linear", description="between samples")
-    time: str = Field("", description="column with its times, if it is sampled at other times")
+    time: str = Field(
+        "",
+        description="column with the times of this signal, if they differ from those of the other "
+        "columns",
+    )
 
 
 class OutputSection(ConfigSection):
@@ -43,10 +47,16 @@ class OutputSection(ConfigSection):
 
     column: str = Field(description="column of the data; * stands for any text in its name")
     interpolation: Interpolation = Field(
-        "linear", description="interpolation between samples, if the time base has other times"
+        "linear",
+        description="interpolation between the measured samples, if cost.time_base asks for other "
+        "times",
     )
-    time: str = Field("", description="column with its times, if it is sampled at other times")
-    weight: Finite = Field(1.0, gt=0.0, description="weight of its squares in the cost")
+    time: str = Field(
+        "",
+        description="column with the times of this output, if they differ from those of the other "
+        "columns",
+    )
+    weight: Finite = Field(1.0, gt=0.0, description="weight of its squared residuals in the cost")
     free_scale: Free = Field(
         False,
         description="true: the output is known up to a factor, which is computed in closed form "
@@ -55,8 +65,8 @@ class OutputSection(ConfigSection):
     )
     free_offset: Free = Field(
         False,
-        description="true: the output is known up to an added constant, which is computed for "
-        'each experiment; "shared": one for all experiments, estimated as '
+        description="true: the output is known up to an added constant, which is computed for each "
+        'experiment; "shared": one constant for all experiments, estimated as '
         "sensor_OUTPUT.offset",
     )
     detection_limit: Finite | None = Field(
@@ -64,9 +74,9 @@ class OutputSection(ConfigSection):
     )
     ordinal: Ordinal = Field(
         False,
-        description="true: only the order of the values counts, such as grades from 1 to 5; or the "
-        'words of the column, the lowest first: ["low", "high"]; sigma is then in '
-        "standard deviations of the simulated signal",
+        description="true: only the order of the values counts, as for grades from 1 to 5; for "
+        'words, a list of them, the lowest first: ["low", "high"]; sigma is then given '
+        "in standard deviations of the simulated signal",
     )
 
 
@@ -87,15 +97,19 @@ class CurveSection(ConfigSection):
     """Keys of a measured curve without times."""
 
     columns: dict[str, str] = Field(
-        min_length=1, description="FMU output = column: points of the curve in their order"
+        min_length=1,
+        description="FMU output = column with the points of the curve, in the order in which it "
+        "passes them",
     )
     tolerance: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
         default_factory=dict,
-        description="FMU output = largest distance of a simulated point from the curve; a "
-        "constraint",
+        description="FMU output = largest distance of a simulated point from the measured curve in "
+        "this column; a constraint",
     )
     samples: Samples = Field(
-        1000, description="points of the simulated curve, evenly from start to stop"
+        1000,
+        description="number of points of the simulated curve, evenly spaced in time from start to "
+        "stop",
     )
 
 
@@ -111,8 +125,8 @@ class _NamedSection(ConfigSection):
 
     id: str = Field(
         min_length=1,
-        description="unique name of the experiment; if it stands for several files or tests, * is "
-        "replaced by their names",
+        description="unique name of the experiment; if the entry stands for several files or "
+        "tests, * is replaced by the name of each",
     )
 
 
@@ -121,43 +135,52 @@ class _ExperimentKeys(ConfigSection):
 
     data: str | None = Field(
         None,
-        description="path of the table: csv, parquet, feather, mat, or with cluster-est[files] "
-        "HDF5, MDF, TDMS, xlsx; with *, one experiment for each such file; default: "
-        "nothing is measured",
+        description="path of the table: csv, parquet, feather or mat; with cluster-est[files] also "
+        "HDF5, MDF, TDMS or xlsx; with a * in the name, each matching file is one "
+        "experiment; default: nothing is measured",
     )
     encoding: str = Field(
         "",
-        description='encoding of a text file, such as "cp1252"; default: UTF-8, or a guess, with a '
-        "message",
+        description='encoding of a text file, such as "cp1252"; default: UTF-8, or a guess, which '
+        "is reported",
     )
     skip_rows: Count | None = Field(
         None,
         description="number of lines above the header of a text file or sheet; default: detected",
     )
     decimal: Literal["", ".", ","] = Field(
-        "", description="decimal separator; the other sign separates thousands"
+        "",
+        description='decimal separator, "," or "."; the other sign separates thousands; default: '
+        "detected",
     )
-    sheet: str = Field("", description="sheet of a workbook, or experiment of an FMU")
+    sheet: str = Field(
+        "",
+        description="name of a sheet of the workbook, or of an experiment in the FMU, if there are "
+        "several",
+    )
     long: LongSection | None = Field(
-        None, description="{ names, values }: the table has a row for each value"
+        None, description="{ names, values }: for a table that has one row for each value"
     )
     split_by: str | None = Field(
-        None, description="column that names the test of a row: one experiment for each test"
+        None,
+        description="column that names the test to which a row belongs; each test becomes one "
+        "experiment",
     )
     split_value: str | None = Field(
-        None, description="value in the column split_by of the test to use"
+        None, description="with split_by: the value of that column for the test to use"
     )
     time: str | None = Field(
         None,
-        description="column with the time: seconds, or timestamps, counted from the first row; "
-        '"DATE + CLOCK": two columns',
+        description="column with the time, in seconds or as timestamps; timestamps are counted "
+        'from the first used row; "DATE + CLOCK" joins two columns',
     )
     time_format: str = Field(
         "", description='format of times as text, such as "%d/%m/%Y %H:%M:%S"; default: detected'
     )
     time_zone: str = Field(
         "",
-        description='time zone of timestamps without one, such as "Europe/Berlin", for summer time',
+        description='time zone of timestamps that do not name one, such as "Europe/Berlin"; needed '
+        "if clocks may have been changed for summer time",
     )
     sample_time: Finite | None = Field(
         None, gt=0.0, description="seconds between rows, if there is no time column"
@@ -168,8 +191,9 @@ class _ExperimentKeys(ConfigSection):
     )
     missing: list[Finite] = Field(
         default_factory=list,
-        description="numbers that stand for missing values, such as -9999; they count as empty "
-        "cells, before a column is converted",
+        description="numbers that stand for missing values, such as -9999; cells with such a "
+        "number count as empty, and the numbers are those before any conversion of the "
+        "column",
     )
     inputs: dict[str, Annotated[InputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict, description="FMU input = column, or { column, interpolation }"
@@ -177,28 +201,30 @@ class _ExperimentKeys(ConfigSection):
     outputs: dict[str, Annotated[OutputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict,
         description="FMU output = column, or { column, interpolation, weight, free_scale, "
-        "free_offset, detection_limit, ordinal }; empty cells: not measured",
+        "free_offset, detection_limit, ordinal }; an empty cell means that nothing was "
+        "measured",
     )
     curve: CurveSection | None = Field(
         None, description="measured points without times, such as force over displacement"
     )
     signals: dict[str, Annotated[InputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict,
-        description="name = column, or { column, interpolation }: measured, but no input of the "
-        "FMU; effects may depend on it",
+        description="name = column, or { column, interpolation }: a measured signal that is not an "
+        "input of the FMU; effects may depend on it",
     )
     sigma: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
-        default_factory=dict, description="FMU output = standard deviation of its noise; default 1"
+        default_factory=dict,
+        description="FMU output = standard deviation of its noise, in its unit; default: 1",
     )
     relative_sigma: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
         default_factory=dict,
-        description="FMU output = noise relative to the measured value, in addition to sigma: "
-        "sqrt(sigma^2 + (relative_sigma value)^2)",
+        description="FMU output = standard deviation of its noise relative to the measured value, "
+        "in addition to sigma; the total is sqrt(sigma^2 + (relative_sigma value)^2)",
     )
     left_out: dict[str, list[Finite]] = Field(
         default_factory=dict,
-        description="FMU output = times in seconds of samples that do not count, such as outliers; "
-        "close-loop says which it left out",
+        description="FMU output = times in seconds of samples to leave out, such as outliers; "
+        "close-loop reports which samples it left out",
     )
     start: Finite | None = Field(
         None, description="start of the simulation in seconds; default: the first time in the data"
@@ -209,9 +235,9 @@ class _ExperimentKeys(ConfigSection):
     warm_up: Finite = Field(
         0.0,
         ge=0.0,
-        description="measurements within this time after start, in seconds, do not count",
+        description="time in seconds after start during which measurements do not count",
     )
-    weight: Finite = Field(1.0, gt=0.0, description="weight of its squares in the cost")
+    weight: Finite = Field(1.0, gt=0.0, description="weight of its squared residuals in the cost")
     windows: list[Pair] = Field(
         default_factory=list,
         description="[[from, to], ...]: only measurements in these intervals, in seconds, count",
@@ -228,9 +254,9 @@ class _ExperimentKeys(ConfigSection):
     )
     gaps: GapRule = Field(
         "split",
-        description="treatment of gaps in rows or cells: split: after a gap in which inputs may "
+        description="what to do at gaps in rows or cells; split: after a gap in which inputs may "
         "have changed, a new part begins, with estimated initial states; bridge: "
-        "inputs are interpolated across gaps",
+        "inputs are interpolated across the gap",
     )
     values: dict[str, KnownValue] = Field(
         default_factory=dict, description="known values of this experiment, by FMU name"
@@ -239,7 +265,9 @@ class _ExperimentKeys(ConfigSection):
         default_factory=dict, description='KEY = "label", for parameters with per = "group:KEY"'
     )
     columns: dict[str, ColumnSection] = Field(
-        default_factory=dict, description="column = { factor, offset, demean }"
+        default_factory=dict,
+        description="column = { factor, offset, demean, late }: how the column is converted before "
+        "use",
     )
 
 
@@ -289,11 +317,11 @@ def unused_defaults(
     for key in SIGMAS:
         for name in defaults.get(key, {}):
             if name not in outputs:
-                must = "must be named as an output of some experiment but is not"
+                must = "must be an output of at least one experiment, but is not"
                 yield f"{DEFAULTS}.{key}.{name}: {must}{_beside(name, outputs)}"
     for name in defaults.get("columns", {}):
         if name not in columns:
-            must = "must be named as a column that some experiment uses but is not"
+            must = "must be a column that at least one experiment uses, but is not"
             yield f"{DEFAULTS}.{dotted('columns', name)}: {must}{_beside(name, columns)}"
 
 
@@ -301,7 +329,7 @@ def _beside(name: str, known: list[str]) -> str:
     """Return the end of a message: either of two names may be the misspelt one."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if near:
-        return f", only {near[0]!r} is; one of the two names may be wrong"
+        return f"; the nearest name is {near[0]!r}, so one of the two names may be wrong"
     return nearest(name, known)
 
 

@@ -315,10 +315,10 @@ def _check_as_measured(output: Output, section: ExperimentSection, config: Confi
         ("weight", 1.0 if output.ordinal else weight, 1.0),
     ):
         if value != usual:
-            why = "it is ordinal" if output.ordinal else "there is a detection_limit"
+            why = "it is ordinal" if output.ordinal else "it has a detection_limit"
             raise ConfigError(
-                f"experiment {section.id!r}: output {name}: {key} must be {usual!r} where {why} "
-                f"but is {value!r}; leave one of the two out"
+                f"experiment {section.id!r}: output {name}: {key} must be {usual!r}, because "
+                f"{why}, but is {value!r}; leave one of the two out"
             )
 
 
@@ -330,13 +330,13 @@ def _simulated(config: Config, start: float, stop: float) -> FloatArray:
     step = cost.step or config.model.step
     if step is None:
         raise ConfigError(
-            f"cost.step: must be given in seconds, because the time base is {cost.time_base!r}, "
-            "but is not; add it, or model.step"
+            "cost.step is missing, and so is model.step; add one of them in seconds, because the "
+            f"time base is {cost.time_base!r}"
         )
     if not stop - start <= step * MOST_TIMES:
         raise ConfigError(
-            f"cost.step: must leave at most {MOST_TIMES} times between {start:g} and {stop:g} s "
-            f"but is {step:g} s; make it longer (without it, model.step counts)"
+            f"cost.step: must leave at most {MOST_TIMES} times between {start:g} and {stop:g} s, "
+            f"but is {step:g} s; make it longer (without cost.step, model.step is used)"
         )
     times: FloatArray = np.arange(start, stop + 1e-9 * (stop - start), step)
     return np.minimum(times, stop)
@@ -351,8 +351,8 @@ def _curve(
     for name in given.tolerance:
         if name not in given.columns:
             raise ConfigError(
-                f"{where}.curve.tolerance.{name}: must be named as one of its columns but is not"
-                f"{nearest(name, given.columns)}"
+                f"{where}.curve.tolerance.{name}: must be one of the names in curve.columns, but "
+                f"is not{nearest(name, given.columns)}"
             )
     return Curve(
         variables=tuple(given.columns),
@@ -367,9 +367,8 @@ def _check_weights(config: Config) -> None:
     for name in config.cost.weights:
         if name not in named:
             raise ConfigError(
-                f"{dotted('cost', 'weights', name)}: must be named as an output of some experiment "
-                "but is not"
-                f"{nearest(name, sorted(named))}"
+                f"{dotted('cost', 'weights', name)}: must be an output of at least one experiment, "
+                f"but is not{nearest(name, sorted(named))}"
             )
 
 

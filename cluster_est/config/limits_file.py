@@ -31,17 +31,19 @@ class PredictionSection(ConfigSection):
     )
     data: str = Field(
         "",
-        description="instead of experiment: table of the inputs of a planned experiment, "
-        "relative to the folder of this file; everything that the table lacks is "
-        "taken from the experiment like",
+        description="instead of experiment: table with the inputs of a planned experiment; its "
+        "path is relative to the folder of this file; everything that the table lacks "
+        'is taken from the experiment that "like" names',
     )
-    time: str = Field("time", description="column of its times, in seconds")
+    time: str = Field("time", description="column with the times of the table, in seconds")
     inputs: dict[str, str] = Field(
         default_factory=dict,
-        description="FMU input = its column; default: all columns, which must have the names of "
+        description="FMU input = column; default: all columns, whose names must then be names of "
         "inputs",
     )
-    interpolation: Interpolation = Field("linear", description="linear or hold, between samples")
+    interpolation: Interpolation = Field(
+        "linear", description="interpolation of the inputs between samples: linear or hold"
+    )
     outputs: list[str] = Field(
         default_factory=list,
         description="names of outputs in the FMU; default: the measured outputs of the experiment, "
@@ -90,14 +92,14 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
         for key in ("inputs", "time", "interpolation"):
             if key in section.model_fields_set:
                 raise ConfigError(
-                    f"{where}.{key}: must be given with data, the table of a planned experiment, "
-                    "but there is none; add data or remove it"
+                    f"{where}.{key}: is only for a planned experiment, whose table data names, but "
+                    f"there is no data; add data, or remove {key}"
                 )
         return section.experiment
     if section.experiment:
         raise ConfigError(
             f"{where}.data: must be left out if an experiment of the run is named, but is "
-            f"{section.data!r}; remove one of the two"
+            f"{section.data!r}; remove data or experiment"
         )
     table = read_table(base / section.data, f"{where}.data")
     times = table.numbers(section.time, f"{where}.time")
@@ -108,8 +110,8 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
     )
     if not inputs or len(times) < 2:
         raise ConfigError(
-            f"{where}.data: {section.data} must have at least one column for an input and two "
-            f"rows but has {len(columns)} such columns and {len(times)} rows"
+            f"{where}.data: {section.data} must have at least one column for an input and at least "
+            f"two rows, but has {len(columns)} such columns and {len(times)} rows"
         )
     name = Path(section.data).stem
     return Experiment(name, float(times[0]), float(times[-1]), inputs, ())

@@ -97,7 +97,7 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     """
     if raw.get(VALUE_FILES):
         raise ConfigError(
-            f"{where}.{VALUE_FILES}: is only for a config file; give the values themselves"
+            f"{where}.{VALUE_FILES}: is only possible in a config file; give the values themselves"
         )
     defaults = raw.get(DEFAULTS, {})
     if DEFAULTS in raw:
@@ -135,11 +135,13 @@ def _missing_starts(config: Config) -> Iterator[str]:
     for name, parameter in config.parameters.items():
         key = dotted("parameters", name)
         if parameter.start is None and not parameter.expression:
-            yield f"{key}.start is missing; add it (where the estimation starts, in the FMU's unit)"
+            yield (
+                f"{key}.start is missing; add it (start value of the estimation, in the FMU's unit)"
+            )
         elif parameter.start is not None and parameter.expression:
             yield (
-                f"{key}.start: must be left out if there is an expression, which determines the "
-                "value, but is given; remove one of the two"
+                f"{key}.start: must be left out if there is an expression, because the expression "
+                "gives the value; remove one of the two"
             )
 
 
@@ -156,8 +158,8 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
         yield missing_time(where, experiment.time, experiment.sample_time)
     if not timed and (experiment.start is None or experiment.stop is None):
         yield (
-            f"{where}: must have start and stop in seconds, because no times are measured, but "
-            "has not; add both"
+            f"{where}: must have start and stop in seconds, because nothing is measured that has "
+            "times, but one of them is missing; add both"
         )
 
 
@@ -181,29 +183,32 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
     yield from _wrong_sigmas(where, experiment)
     if (experiment.split_by is None) is not (experiment.split_value is None):
         yield (
-            f"{where}: must have split_by and split_value together, outside of a config file, but "
-            "has one of them; add the other"
+            f"{where}: must have both split_by and split_value, or neither, if it is not read from "
+            "a config file, but has only one of them; add the other"
         )
     for name in experiment.outputs:
         if name in experiment.inputs:
             yield (
-                f"{where}.outputs.{name}: must not be an input of the same experiment, because "
-                "the FMU computes nothing there; remove one of the two"
+                f"{where}.outputs.{name}: must not be an input of the same experiment, because the "
+                "FMU does not compute its inputs; remove one of the two"
             )
     start, stop = experiment.start, experiment.stop
     if start is not None and stop is not None and not start < stop:
-        yield f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
+        yield (
+            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
+            "one of them"
+        )
     for key in ("windows", "test_windows"):
         for i, (first, last) in enumerate(getattr(experiment, key)):
             if not first <= last:
                 yield (
-                    f"{where}.{key}[{i}]: must be [from, to] with from before to but is "
+                    f"{where}.{key}[{i}]: must be [from, to] with from before to, but is "
                     f"[{first:g}, {last:g}]; swap them"
                 )
     if experiment.rows is not None and not experiment.rows[0] < experiment.rows[1]:
         yield (
-            f"{where}.rows: must be [from, to] with from below to but is "
-            f"{list(experiment.rows)}; swap them, or remove the key to use all rows"
+            f"{where}.rows: must be [from, to] with from below to, but is {list(experiment.rows)}; "
+            "swap them, or remove the key to use all rows"
         )
 
 
@@ -284,8 +289,9 @@ def _starts_of_map(
     missing = [name for name, start in starts.items() if start is None]
     if missing:
         raise ConfigError(
-            f"{dotted('maps', key)}.start: must be given unless the files of values have all of "
-            f"its variables, but is not, and no file has {', '.join(missing)}; add start"
+            f"{dotted('maps', key)}.start is missing, and no file of values has "
+            f"{', '.join(missing)}; add start, or give the values of all variables of the map in "
+            f"{VALUE_FILES}"
         )
     return list(starts.values())
 
@@ -304,9 +310,8 @@ def _inner(section: dict[str, Any], key: str) -> dict[str, Any]:
 def _start(given: GivenValue) -> float:
     if isinstance(given.value, bool | str):
         raise ConfigError(
-            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is "
-            f"estimated, but is {shown(given.value)}; correct it (the decimal separator is a "
-            "point)"
+            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is estimated, "
+            f"but is {shown(given.value)}; correct it (the decimal separator is a point)"
         )
     return float(given.value)
 
@@ -335,13 +340,14 @@ def read_values(path: Path) -> list[GivenValue]:
     readers = {".ssv": _parameter_set, ".csv": _csv}
     if path.suffix.lower() not in readers:
         raise ConfigError(
-            f"{VALUE_FILES}: {path.name} must end in .ssv or .csv; rename or convert it"
+            f"{VALUE_FILES}: {path.name} must end in .ssv or .csv; rename it or convert it"
         )
     try:
         return list(readers[path.suffix.lower()](path))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(
-            f"{VALUE_FILES}: {path.name} cannot be read ({error}); check it"
+            f"{VALUE_FILES}: {path.name} cannot be read ({error}); check the path and its "
+            "permissions"
         ) from error
 
 
@@ -353,7 +359,8 @@ def _parameter_set(path: Path) -> Iterator[GivenValue]:
     except Exception as error:  # of whatever kind fmpy and lxml raise
         why = " ".join(str(error).split())
         raise ConfigError(
-            f"{VALUE_FILES}: {path.name} must be a parameter set of SSP 1.0 but is not ({why})"
+            f"{VALUE_FILES}: {path.name} must be a parameter set of SSP 1.0, but is not ({why}); "
+            "export it again"
         ) from error
     for each in found:
         value = str(each.value) if each.type == "String" else _value(str(each.value))
@@ -371,8 +378,9 @@ def _csv(path: Path) -> Iterator[GivenValue]:
         missing = [name for name in ("name", "value") if name not in (rows.fieldnames or ())]
         if missing:
             raise ConfigError(
-                f"{VALUE_FILES}: {path.name} must have the columns name and value but has "
-                f"{', '.join(map(str, rows.fieldnames or ())) or 'none'}; name them in row 1"
+                f"{VALUE_FILES}: {path.name} must have the columns name and value, but has "
+                f"{', '.join(map(str, rows.fieldnames or ())) or 'none'}; name the columns in the "
+                "first row"
             )
         for row in rows:
             name, value = (row["name"] or "").strip(), (row["value"] or "").strip()

@@ -47,24 +47,29 @@ class CostSection(ConfigSection):
     options: dict[str, Any] = Field(default_factory=dict, description="options of the cost")
     function: str = Field(
         "",
-        description='"module:name" of a Python function that returns numbers instead of the '
-        "residuals; needs --allow-code",
+        description='"module:name" of a Python function that returns numbers to be used instead of '
+        "the residuals; needs --allow-code",
     )
     time_base: TimeBase = Field(
         "measured",
-        description="measured: each output at its own times; union: at the times of all outputs; "
-        "simulated: every step seconds; both: union and simulated",
+        description="times at which outputs are compared; measured: each output at its own times; "
+        "union: each output at the times of all outputs; simulated: every cost.step "
+        "seconds; both: union and simulated",
     )
     step: Finite | None = Field(
-        None, gt=0.0, description="seconds of the simulated time base; default: model.step"
+        None,
+        gt=0.0,
+        description="interval in seconds between the times of the simulated time base; default: "
+        "model.step",
     )
     normalise: Normalise = Field(
         "sigma",
-        description="divisor of the residuals: sigma, or the largest absolute value or the range "
-        "of the measured signal",
+        description="what residuals are divided by; sigma: the standard deviation of the noise; "
+        "max: the largest absolute measured value; range: the range of the measured "
+        "values",
     )
     weights: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
-        default_factory=dict, description="FMU output = weight of its squares; default 1"
+        default_factory=dict, description="FMU output = weight of its squared residuals; default: 1"
     )
 
 
@@ -104,7 +109,7 @@ class TrackingSection(ConfigSection):
 
     absolute: Finite = Field(0.0, ge=0.0, description="tolerance in the signal's unit")
     relative: Finite = Field(
-        0.0, ge=0.0, description="additional tolerance as a part of the measured value"
+        0.0, ge=0.0, description="additional tolerance, as a fraction of the measured value"
     )
     side: Literal["both", "upper", "lower"] = Field(
         "both",
@@ -115,39 +120,52 @@ class TrackingSection(ConfigSection):
 class ConstraintSection(ConfigSection):
     """Keys of a constraint on parameters, on a signal, or by a function."""
 
-    name: str = Field("", description="name for tables; default: the constraint as text")
+    name: str = Field("", description="name shown in tables; default: the text of the constraint")
     expression: str = Field(
         "",
         description="constraint on parameters: two formulas with <=, >= or = between them, such as "
         '"mu_d <= mu_s"',
     )
-    signal: str = Field("", description="name of the variable of the FMU that is limited")
+    signal: str = Field("", description="name of the FMU variable that is limited")
     function: str = Field(
         "",
-        description='"module:name" of a Python function that returns a number that must be at '
+        description='"module:name" of a Python function that returns a number, which must be at '
         "most 0; needs --allow-code",
     )
     equality: bool = Field(False, description="for a function: the number must be 0")
-    lower: Level | None = Field(None, description="number, or [[time, value], ...]")
-    upper: Level | None = Field(None, description="number, or [[time, value], ...]")
+    lower: Level | None = Field(
+        None, description="lower limit of the signal: a number, or [[time, value], ...]"
+    )
+    upper: Level | None = Field(
+        None, description="upper limit of the signal: a number, or [[time, value], ...]"
+    )
     step_response: StepSection | None = Field(None, description="envelope of a step response")
     tracking: TrackingSection | None = Field(
         None,
         description="band around the measured signal, in each experiment in which it is measured",
     )
-    final: Finite | None = Field(None, description="value at the end of the simulation")
+    final: Finite | None = Field(
+        None, description="value that the signal must have at the end of the simulation"
+    )
     tolerance: Finite = Field(
-        0.0, ge=0.0, description="largest deviation from final; 0: an equality"
+        0.0, ge=0.0, description="largest allowed deviation from final; 0: an equality"
     )
     between: Pair | None = Field(
-        None, description="[from, to] seconds; default: the whole simulation"
+        None,
+        description="[from, to] in seconds: when the signal is limited; default: during the whole "
+        "simulation",
     )
-    samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
+    samples: Samples = Field(
+        200, description="number of evenly spaced times at which the signal is checked"
+    )
     scale: Finite | None = Field(
-        None, gt=0.0, description="divisor of a violation; default: the size of the limits"
+        None,
+        gt=0.0,
+        description="number by which a violation is divided; default: the size of the limits",
     )
     experiments: list[str] = Field(
-        default_factory=list, description="ids of the experiments; default: all"
+        default_factory=list,
+        description="ids of the experiments in which the constraint holds; default: all",
     )
 
 
@@ -179,10 +197,11 @@ class MapSection(ConfigSection):
     """Keys of a one-dimensional map."""
 
     variables: list[str] = Field(
-        min_length=2, description="the FMU's names of its values, in the order of the points"
+        min_length=2,
+        description="FMU variables that hold the values of the map, in the order of the points",
     )
     points: list[Finite] = Field(
-        min_length=2, description="abscissae of the values, in increasing order"
+        min_length=2, description="abscissae to which the values belong, in increasing order"
     )
     start: Finite | list[Finite] = Field(
         description="start values of the estimation: one number, or one for each point"
@@ -190,19 +209,21 @@ class MapSection(ConfigSection):
     bounds: Bounds = Field(
         (float("-inf"), float("inf")),
         description="[lower, upper] of every value; with slope_change: of the first value, and "
-        "limits of the change from one point to the next",
+        "also the limits of the change from one point to the next",
     )
     slope_change: Finite | None = Field(
         None,
         gt=0.0,
-        description="smoothness, a prior: standard deviation of the change of slope over one "
-        "unit of the abscissa; needs finite bounds; default: none",
+        description="smoothness of the map, as a prior: standard deviation of the change of slope "
+        "over one unit of the abscissa; needs finite bounds; default: none",
     )
     monotone: Monotone = Field(
-        "", description="constraint on the order of the values: increasing or decreasing"
+        "", description="constraint that makes the values monotonic: increasing or decreasing"
     )
     fixed: bool = Field(False, description="true: keep every value fixed at its start")
-    unit: str = Field("", description="unit of the values, for tables; default: that of the FMU")
+    unit: str = Field(
+        "", description="unit of the values, shown in tables; default: the FMU's unit"
+    )
 
 
 class ModelSection(ConfigSection):
@@ -210,7 +231,7 @@ class ModelSection(ConfigSection):
 
     fmu: str = Field(description="path of the FMU, relative to the folder of the config")
     interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
-        "auto", description="interface of the FMU that is used; auto prefers model exchange"
+        "auto", description="interface of the FMU to use; auto prefers model exchange"
     )
     solver: Literal["auto", "dormand_prince", "rk4", "cvode", "fmu"] = Field(
         "auto",
@@ -220,15 +241,14 @@ class ModelSection(ConfigSection):
     step: Finite | None = Field(
         None,
         gt=0.0,
-        description="seconds: the step of rk4, or the longest step of the other solvers; default: "
-        "the interval between times in the data, and no limit for dormand_prince and "
-        "cvode",
+        description="step of rk4, or longest step of the other solvers, in seconds; default: the "
+        "interval between times in the data, but no limit for dormand_prince and cvode",
     )
     rtol: Finite | None = Field(
         None,
         gt=0.0,
         lt=1.0,
-        description="relative tolerance; default: 1e-8, or the FMU's own with solver fmu",
+        description="relative tolerance; default: 1e-8, or the FMU's own tolerance with solver fmu",
     )
     atol: Finite | None = Field(
         None,
@@ -244,18 +264,20 @@ class ModelSection(ConfigSection):
     )
     reset: Literal["auto", "reset", "instance", "process"] = Field(
         "auto",
-        description="first step of every simulation: a reset of the instance, a new instance or a "
-        "new process; auto: the first of these with which a simulation can be repeated",
+        description="how every simulation starts: with a reset of the instance, a new instance or "
+        "a new process; auto: the first of these with which a repeated simulation "
+        "gives the same result",
     )
     environment: dict[str, str] = Field(
         default_factory=dict,
         description="environment variable = its value, set before the FMU is loaded; with executor "
-        "local, it is set in this process, where it must not have another value",
+        "local, it is set in this process and must not already have another value "
+        "there",
     )
     working_folder: str = Field(
         "",
-        description="working folder of the FMU's process, a folder in the FMU such as "
-        '"resources", for FMUs that open files by relative paths; not with executor '
+        description="working folder of the FMU's process: a folder in the FMU, such as "
+        '"resources"; for FMUs that open files by relative paths; not with executor '
         "local",
     )
     stop_time: bool | None = Field(
@@ -265,8 +287,8 @@ class ModelSection(ConfigSection):
     )
     units: dict[str, str] = Field(
         default_factory=dict,
-        description="variable of the FMU or signal = its unit, if the FMU has none or a wrong one; "
-        "only for tables and text, no number is converted",
+        description="FMU variable or signal = its unit, if the FMU gives none or a wrong one; only "
+        "shown in tables and text, so no number is converted",
     )
 
 
@@ -291,7 +313,9 @@ class ParameterSection(ConfigSection):
     )
     unit: str = Field("", description="unit shown in tables; default: the FMU's")
     expression: str = Field(
-        "", description='formula in other parameters, instead of start, such as "2 * k1"'
+        "",
+        description="formula with other parameters that gives the value instead of start, such as "
+        '"2 * k1"',
     )
     auxiliary: bool = Field(
         False,
@@ -299,9 +323,9 @@ class ParameterSection(ConfigSection):
     )
     prior: dict[str, Any] = Field(
         default_factory=dict,
-        description='knowledge before the measurements: { name = "normal", mean = 2.0, sd = 0.1 '
-        '} or { name = "lognormal", median = 2.0, factor = 1.5 }; it counts like a '
-        "measurement, so every output needs its sigma",
+        description='prior knowledge: { name = "normal", mean = 2.0, sd = 0.1 } or { name = '
+        '"lognormal", median = 2.0, factor = 1.5 }; it counts like a measurement, so '
+        "every output needs its sigma",
     )
 
 
@@ -315,25 +339,27 @@ class CoefficientSection(ConfigSection):
     )
     bounds: Bounds | None = Field(
         None,
-        description="[lower, upper]; default: the physical range; the lower bound of a time "
-        "constant, a width, a speed or a frequency is at least a thousandth of its start",
+        description="[lower, upper]; default: the physical range; for a time constant, a width, a "
+        "speed or a frequency, the lower bound is at least a thousandth of the start "
+        "value",
     )
     scale: Literal["linear", "log"] | None = Field(
         None,
-        description="log: methods work with ln(value); default: log for a time constant, a "
-        "width, a speed or a frequency whose start and bounds are above 0, else "
-        "linear",
+        description="log: methods work with ln(value); default: log for a time constant, a width, "
+        "a speed or a frequency whose start and bounds are positive, otherwise linear",
     )
     fixed: bool = Field(False, description="true: keep it fixed at its start")
     neutral: Finite | None = Field(
         None, description="for your own equation: the value at which the effect has no influence"
     )
     per: str | None = Field(
-        None, description='"experiment" or "group:KEY"; default: one shared value'
+        None,
+        description='"experiment" or "group:KEY": a separate value for each; default: one shared '
+        "value",
     )
     unit: str = Field("", description="for tables")
     prior: dict[str, Any] = Field(
-        default_factory=dict, description="knowledge before the measurements, as for a parameter"
+        default_factory=dict, description="prior knowledge, as for a parameter"
     )
 
 
@@ -345,13 +371,14 @@ class EffectSection(ConfigSection):
         description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
         '"parameter NAME" of the FMU'
     )
-    form: str = Field("", description="a form of the library, such as coulomb")
+    form: str = Field("", description="name of a form in the library, such as coulomb")
     variables: list[str] = Field(
         default_factory=list,
         description='arguments of the effect: states, inputs, signals, or differences like "x - '
-        'z"; default: the state of der(STATE), or the difference of a pair',
+        'z"; default: the state of der(STATE), or the difference of the two states of '
+        "a pair",
     )
-    equation: str = Field("", description="equation in the names of the FMU, instead of form")
+    equation: str = Field("", description="equation with the FMU's variables, instead of form")
     reaction: str = Field(
         "",
         description="for an equation at a pair: the equation that is added to the derivative of "
@@ -363,11 +390,11 @@ class EffectSection(ConfigSection):
     slope_change: Finite | None = Field(
         None,
         gt=0.0,
-        description="smoothness of a free curve such as table, as for a map; needs finite bounds, "
-        "and keeps low and high at their starts; default: none",
+        description="smoothness of a free curve such as table, as for a map; needs finite bounds; "
+        "the coefficients low and high then stay at their starts; default: none",
     )
     monotone: Monotone = Field(
-        "", description="for a free curve: increasing or decreasing, a constraint as for a map"
+        "", description="constraint on a free curve, as for a map: increasing or decreasing"
     )
     bounds: Bounds | None = Field(
         None,
@@ -391,7 +418,7 @@ class ExecutorSection(ConfigSection):
     workers: Count | None = Field(
         None,
         gt=0,
-        description="number of workers; default: every core of the cluster with ray, else 1",
+        description="number of workers; default: with ray, every core of the cluster, otherwise 1",
     )
     instances: Count | None = Field(
         None,
@@ -410,7 +437,7 @@ class ExecutorSection(ConfigSection):
     stall: Finite = Field(
         _RESOURCES.limits.stall,
         gt=0.0,
-        description="longest time in seconds in which no step of a simulation ends",
+        description="longest time in seconds that a simulation may run without finishing a step",
     )
     memory: Finite | None = Field(
         None, gt=0.0, description="largest memory of a simulation in MB; default: no limit"
@@ -418,7 +445,7 @@ class ExecutorSection(ConfigSection):
     growth: Finite = Field(
         _RESOURCES.limits.growth / 2.0**20,
         gt=0.0,
-        description="leak of the FMU in MB after which its process is replaced",
+        description="memory in MB that an FMU may leak before its process is replaced",
     )
 
 
@@ -428,30 +455,30 @@ class Config(ConfigSection):
     model: ModelSection = Field(description="the FMU and its solver")
     data_folders: list[str] = Field(
         default_factory=list,
-        description="folders in which to look for data, after that of the config; $NAME is an "
-        "environment variable",
+        description="folders in which data are looked for after the folder of the config; $NAME "
+        "stands for an environment variable",
     )
     parameters: dict[str, ParameterSection] = Field(
-        default_factory=dict, description="what to estimate"
+        default_factory=dict, description="parameters to estimate"
     )
     maps: dict[str, MapSection] = Field(
         default_factory=dict,
-        description="maps: tables of the FMU whose values are parameters",
+        description="tables in the FMU whose values are parameters",
     )
     values: dict[str, KnownValue] = Field(
-        default_factory=dict, description="known values of all experiments, by FMU name"
+        default_factory=dict, description="known values for all experiments, by FMU name"
     )
     value_files: list[str] = Field(
         default_factory=list,
         exclude=True,  # the reader puts what is in them where it belongs
         description="files of values: .ssv (SSP), or .csv with the columns name, value and unit; "
         "values of parameters, variables of maps and coefficients (EFFECT.COEFFICIENT) "
-        "become starts, all others known values",
+        "become start values, all other values are known",
     )
     experiment_defaults: ExperimentDefaultsSection = Field(
         ExperimentDefaultsSection(),
         exclude=True,  # the reader puts them into the experiments
-        description="default keys of all experiments: any key except id",
+        description="default values for the keys of all experiments: any key except id",
     )
     experiments: list[ExperimentSection] = Field(min_length=1, description="measured runs")
     effects: list[EffectSection] = Field(
@@ -460,21 +487,21 @@ class Config(ConfigSection):
     closed_loop: ClosedLoopSection = Field(
         ClosedLoopSection(), description="settings of close-loop"
     )
-    cost: CostSection = Field(CostSection(), description="what is minimised")
+    cost: CostSection = Field(CostSection(), description="cost to be minimised")
     constraints: list[ConstraintSection] = Field(
         default_factory=list, description="constraints on parameters and signals"
     )
     method: MethodSection = Field(MethodSection(), description="how")
-    multistart: Multistart = Field(Multistart(), description="from how many starts")
+    multistart: Multistart = Field(Multistart(), description="number and choice of start points")
     uncertainty: UncertaintySettings = Field(
-        UncertaintySettings(), description="intervals that take refits"
+        UncertaintySettings(), description="intervals that need refits"
     )
     sensitivity: SensitivitySection = Field(
         SensitivitySection(), description="settings of cluster-est sensitivity"
     )
     thinning: ThinningSettings = Field(ThinningSettings(), description="thinning of long records")
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
-    budget: Budget = Field(Budget(), description="for how long")
+    budget: Budget = Field(Budget(), description="limits of the whole run")
     log: LogSettings = Field(LogSettings(), description="contents of the log")
     _units_of_files: Mapping[str, str] = PrivateAttr(default_factory=dict)
 

@@ -77,8 +77,8 @@ def _of_files(
     paths = [path for path in paths if path.resolve() not in others]
     if not paths:
         raise ConfigError(
-            f"experiment {own.get('id', '')!r}.data: there is no file like {data!r}; check the "
-            "pattern, or add its folder to data_folders"
+            f"experiment {own.get('id', '')!r}.data: no file matches {data!r}; check the pattern, "
+            "or add its folder to data_folders"
         )
     for path in paths:
         name = os.path.relpath(path, base).replace(os.sep, "/")

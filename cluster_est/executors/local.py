@@ -72,8 +72,8 @@ class EvaluatorHere:
         if self._evaluator.has_lost_seat:
             raise ExecutorError(
                 f"executor.instances: {self._evaluator.model.name} had a fatal error, after which "
-                "an instance may not be freed; another one in this process would exceed the "
-                'limit; choose executor.name = "processes" or "ray"'
+                "its instance cannot be freed safely; another instance in this process would "
+                'exceed the limit; choose executor.name = "processes" or "ray"'
             )
         return outcomes
 

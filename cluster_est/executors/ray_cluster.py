@@ -46,15 +46,15 @@ def why_not_joined(address: str) -> str:
     host, _, port = address.rpartition(":")
     if not host or not port.isdigit():
         return (
-            f'it must be "auto", "local" or HOST:PORT, as in "10.0.0.1:6379", but is {address!r}; '
-            'use the port of "ray start --head --port"'
+            f'must be "auto", "local" or HOST:PORT, as in "10.0.0.1:6379", but is {address!r}; use '
+            'the port of "ray start --head --port"'
         )
     try:
         socket.create_connection((host.strip("[]"), int(port)), SECONDS_TO_CONNECT).close()
     except (OSError, OverflowError) as error:
         return (
-            f"nothing answers at {address!r} ({error}); check host and port against "
-            '"ray start --head --port", and check that this machine may reach them'
+            f'nothing answers at {address!r} ({error}); compare host and port with those of "ray '
+            'start --head --port", and check that this machine can reach them'
         )
     try:
         asked = subprocess.run(
@@ -80,10 +80,10 @@ def _judged(address: str, said: dict[str, dict[str, str] | str]) -> str:
         return found or (_no_node_here(address, nodes) if isinstance(nodes, dict) else "")
     if said["failed"] == "AuthenticationError":
         return (
-            f"the Ray cluster at {address!r} needs its token, which is missing or wrong here; set "
-            "RAY_AUTH_MODE=token, and put it into ~/.ray/auth_token or a file that "
-            'RAY_AUTH_TOKEN_PATH names (a node of the cluster prints it with "ray '
-            'get-auth-token")'
+            f"the Ray cluster at {address!r} needs its token, which is missing or wrong on this "
+            "machine; set RAY_AUTH_MODE=token, and write the token to ~/.ray/auth_token or to a "
+            'file that RAY_AUTH_TOKEN_PATH names (on a node of the cluster, "ray get-auth-token" '
+            "prints it)"
         )
     return (
         f"the program at {address!r} does not answer like the head of a Ray cluster; check the "
@@ -97,13 +97,13 @@ def _other_version(address: str, cluster: dict[str, str]) -> str:
     there = cluster.get("ray_version", here), cluster.get("python_version", python)
     if there[0] != here:
         return (
-            f"the Ray cluster at {address!r} has Ray {there[0]}, which must be the same here, where"
-            f" it is {here}; install ray=={there[0]} here, or {here} there"
+            f"the Ray cluster at {address!r} has Ray {there[0]}, but this machine has Ray {here}; "
+            f"install ray=={there[0]} on this machine, or ray=={here} on the cluster"
         )
     if there[1].split(".")[:2] != python.split(".")[:2]:
         return (
-            f"the Ray cluster at {address!r} runs Python {there[1]}, whose first two numbers must "
-            f"be the same here, where it is {python}; use the same Python on both sides"
+            f"the Ray cluster at {address!r} runs Python {there[1]}, but this machine runs Python "
+            f"{python}, and the first two numbers must agree; use the same Python on both"
         )
     return ""
 
@@ -118,14 +118,14 @@ def _no_node_here(address: str, nodes: dict[str, str]) -> str:
         return ""
     if not nodes:
         return (
-            f"the head of the Ray cluster at {address!r} answers, but no node of it is alive; stop "
-            'it there with "ray stop", and start it again'
+            f"the head of the Ray cluster at {address!r} answers, but none of its nodes is alive; "
+            'stop it there with "ray stop", and start it again'
         )
     others = ", ".join([*dict.fromkeys(nodes.values())][:MOST_NAMED_NODES])
     return (
-        f"this machine must be a node of the Ray cluster at {address!r}, whose nodes are "
-        f'{others}, but is not; run "ray start --address={address}" here first (with --num-cpus=0 '
-        "if this machine must not simulate), or submit the fit to the cluster with ray job submit"
+        f"this machine must be a node of the Ray cluster at {address!r}, whose nodes are {others}, "
+        f'but is not; run "ray start --address={address}" on this machine first (with --num-cpus=0 '
+        "if it must not simulate), or submit the fit to the cluster with ray job submit"
     )
 
 
@@ -253,12 +253,12 @@ def _not_connected(address: str | None, line: str, *, local: bool) -> str:
     if address == "auto":
         return (
             f"executor.address: no Ray cluster was found on this machine ({line}); join one with "
-            '"ray start --address=HOST:PORT", or remove the key to use this machine alone'
+            '"ray start --address=HOST:PORT", or remove the key to use only this machine'
         )
     return (
-        f"executor.address: the Ray cluster at {address!r} could not be joined ({line}), and no "
-        "other reason is known; check that its nodes and this machine reach each other at all of "
-        "Ray's ports, or remove the key to use this machine alone"
+        f"executor.address: the Ray cluster at {address!r} could not be joined ({line}), for an "
+        "unknown reason; check that its nodes and this machine can reach each other at all of "
+        "Ray's ports, or remove the key to use only this machine"
     )
 
 

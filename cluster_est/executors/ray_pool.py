@@ -265,8 +265,8 @@ class RayPool(WorkerPool):
                 return
         raise ExecutorError(
             f"executor.instances: a worker must free its instance of {self._model.name}, but "
-            f"{LOSSES_BEFORE_GIVEN_UP} replacements of it were lost meanwhile; check the nodes of "
-            "the cluster"
+            f"{LOSSES_BEFORE_GIVEN_UP} replacements of the worker were lost meanwhile; check the "
+            "nodes of the cluster"
         )
 
     def _frees_instance(self, name: str) -> bool:

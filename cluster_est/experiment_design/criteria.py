@@ -65,7 +65,7 @@ class DOptimality(DesignCriterion):
 
     name: ClassVar[str] = "d"
     compares: ClassVar[bool] = False
-    called: ClassVar[str] = "smaller volume of the parameters' region (log)"
+    called: ClassVar[str] = "smaller volume of the confidence region of the parameters (log)"
 
     @override
     def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:

@@ -72,8 +72,8 @@ CONFIRMED = 0.02
 ALLOWED_EXCURSION = 0.5
 """Share of an output's range by which an experiment may leave it where no limits are given."""
 UNCONFIRMED = (
-    "the budget was too small to fit the rivals to the predictions for the best input: the "
-    "expectations are estimates from derivatives, and may be too high"
+    "the budget was too small to fit the rivals to the predictions for the best input; the "
+    "expected values are therefore estimates from derivatives, and may be too high"
 )
 
 
@@ -331,5 +331,5 @@ def _as_measured(scored: ScoredCandidate, model: int) -> Experiment:
         values = output.sigma * scored.predicted[model].outputs[rows]
         outputs.append(replace(output, values=np.ascontiguousarray(values)))
         first = rows.stop
-    name = f"{experiment.id} as model {model + 1} has it"
+    name = f"{experiment.id} as predicted by model {model + 1}"
     return replace(experiment, id=name, outputs=tuple(outputs), bounds=())

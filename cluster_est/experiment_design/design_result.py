@@ -278,8 +278,8 @@ class DesignResult:
         if name == "expected":
             return self.expected
         raise RunFolderError(
-            f"table: must be one of the tables of a design but is {name!r}"
-            f"{nearest(name, self.tables)}"
+            "table: must be one of the tables of this design but is "
+            f"{name!r}{nearest(name, self.tables)}"
         )
 
     def input_table(self) -> pa.Table:
@@ -319,15 +319,15 @@ class DesignResult:
         broken = [each for each in self.candidates if not each.ok]
         if broken:
             found.append(
-                f"{len(broken)} of {len(self.candidates)} inputs were rejected: they could "
-                "not be simulated, or they violate the limits in at least one model, at its "
-                "estimates or one standard deviation from them"
+                f"{len(broken)} of {len(self.candidates)} inputs were rejected, because they could "
+                "not be simulated, or because they violate the limits in at least one model, "
+                "either at its estimates or with parameters one standard deviation away"
             )
         found += self._repeated
         found.append(
-            "the expectations assume that the models are exact, that the uncertainty of their "
-            "parameters has a linear effect on the outputs, and that the noise is that of the "
-            "run; repeat the fit with the new data"
+            "the expected values assume that the models are exact, that the uncertainty of their "
+            "parameters has a linear effect on the outputs, and that the noise is the same as in "
+            "the run; fit again with the new data"
         )
         return (*found, *self.remarks)
 

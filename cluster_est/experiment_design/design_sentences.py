@@ -142,14 +142,14 @@ def evidence_sentence(
         )
     nearest = min(own, key=lambda row: row.evidence)
     said = (
-        f"if {first} is right, {nearest.rival}, its rival that is hardest to distinguish, is "
-        f"expected to be {times(nearest.evidence)} less likely after this experiment"
+        f"if {first} is right, this experiment is expected to make {nearest.rival}, the rival that "
+        f"is hardest to distinguish, {times(nearest.evidence)} less likely"
     )
     others = []
     if not math.isnan(nearest.random):
-        others.append(f"{times(nearest.random)} after a random input within the same limits")
+        others.append(f"{times(nearest.random)} with a random input within the same limits")
     if not math.isnan(nearest.recorded):
-        others.append(f"{times(nearest.recorded)} after the best recorded one, repeated")
+        others.append(f"{times(nearest.recorded)} with a repetition of the best recorded input")
     return f"{said} ({', '.join(others)})" if others else said
 
 
@@ -159,8 +159,8 @@ def _of_others(probabilities: Sequence[ExpectedProbability]) -> str:
     if most.after - most.before < WORTH_SAYING:
         return ""
     return (
-        f"; if {most.model} is, its probability is expected to rise from {percent(most.before)} to "
-        f"{percent(most.after)}"
+        f"; if {most.model} is right, its probability is expected to rise from "
+        f"{percent(most.before)} to {percent(most.after)}"
     )
 
 
@@ -172,8 +172,8 @@ def alike_sentences(evidence: Sequence[ExpectedEvidence], looked_at: int) -> lis
         return []
     return [
         f"if {first} is right, the best of the {looked_at} inputs that were tried does not "
-        f"distinguish it from {in_a_row(alike)}: they predict nearly the same, or one contains "
-        "the other as a special case; wider limits or more candidates may help"
+        f"distinguish it from {in_a_row(alike)}: the models predict nearly the same, or one "
+        "contains the other as a special case; wider limits or more candidates may help"
     ]
 
 
@@ -190,10 +190,10 @@ def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
         return math.exp(sum(math.log(max(each, 1e-300)) for each in known) / len(known))
 
     if not share("std_error_after") < NO_CHANGE:
-        return "it is expected to give almost no information about the parameters"
+        return "the experiment is expected to give almost no information about the parameters"
     said = (
-        "the standard errors are expected to fall to "
-        f"{share('std_error_after'):.2g} of what they are, as a geometric mean"
+        f"the standard errors are expected to fall to {share('std_error_after'):.2g} times their "
+        "present values (geometric mean)"
     )
     return "; ".join([said, *_beside(share)])
 
@@ -202,10 +202,10 @@ def _beside(share: Callable[[str], float]) -> list[str]:
     """Say what a random input and a recorded one are expected to do."""
     inputs = {
         "random": "with a random input within the same limits",
-        "recorded": "with a recorded one, repeated,",
+        "recorded": "with a repetition of a recorded input",
     }
     return [
-        f"{which} to {share(name):.2g}"
+        f"{which}, to {share(name):.2g}"
         for name, which in inputs.items()
         if not math.isnan(share(name))
     ]
@@ -219,14 +219,14 @@ def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
         return math.sqrt(sum(squares) / len(squares))
 
     if not share("std_error_after") < NO_CHANGE:
-        return "it is expected to give almost no information about the predictions"
+        return "the experiment is expected to give almost no information about the predictions"
     first = f"{rows[0].output} in {rows[0].experiment}"
     more = f" and {len(rows) - 1} other prediction{'s' if len(rows) > 2 else ''}"
     several = len(rows) > 1
     said = (
         f"the standard deviation{'s' if several else ''} of {first}{more if several else ''} "
-        f"{'are' if several else 'is'} expected to fall to {share('std_error_after'):.2g} of what "
-        f"{'they are, as a root mean square' if several else 'it is'}"
+        f"{'are' if several else 'is'} expected to fall to {share('std_error_after'):.2g} times "
+        f"{'their present values (root mean square)' if several else 'its present value'}"
     )
     return "; ".join([said, *_beside(share)])
 

@@ -224,20 +224,21 @@ def none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
     """Say that no input keeps its limits, and how far the closest is off."""
     if not found:
         return ProblemError(
-            "waveforms: must leave an input to try, but no recorded input of the run keeps the "
+            "waveforms: must leave an input to try, but no recorded input of the run respects the "
             "limits; name another family, or widen the limits"
         )
     leaving = [each for each in found if np.isfinite(each.violation)]
     if not leaving:
         return ProblemError(
-            f"limits: none of {len(found)} inputs could be used ({found[0].why}); narrow the inputs"
+            f"limits: must allow an input, but none of {len(found)} inputs could be used "
+            f"({found[0].why}); narrow the limits of the inputs"
         )
     closest = min(leaving, key=lambda each: each.violation)
     name = closest.why.split()[0]
     scales = {bound.name: bound.scale for bound in closest.candidate.experiment.bounds}
     off = closest.violation * scales.get(name.rpartition(".")[0], 1.0)
     return ProblemError(
-        f"limits: {name} must be kept but none of {len(found)} inputs keeps it with every model, "
-        f"not even the smallest: the closest is {off:.3g} off; widen it, narrow the inputs or "
-        "choose other start values"
+        f"limits: {name} must be respected, but none of {len(found)} inputs respects it with every "
+        f"model, not even the smallest input: the closest input violates it by {off:.3g}; widen "
+        "this limit, narrow the limits of the inputs, or choose other start values"
     )

@@ -25,15 +25,17 @@ class InputLimits(Settings):
 
     section: ClassVar[str] = "inputs"
 
-    lower: Finite = Field(description="in the input's unit")
-    upper: Finite = Field(description="in the input's unit")
-    rate: float = Field(math.inf, gt=0.0, description="largest change in a second")
+    lower: Finite = Field(description="lower limit of the input, in its unit")
+    upper: Finite = Field(description="upper limit of the input, in its unit")
+    rate: float = Field(math.inf, gt=0.0, description="largest change per second")
     start: Finite | None = Field(None, description="first value of the input; default: any")
     hold: Finite = Field(
         0.0,
         ge=0.0,
-        description="shortest time in seconds for which a level is held, and shortest half "
-        "period of a wave; 0: four samples",
+        description=(
+            "shortest time in seconds for which a level is held, and shortest half-period of a "
+            "wave; 0: four sampling intervals"
+        ),
     )
 
 
@@ -42,8 +44,12 @@ class SignalLimits(Settings):
 
     section: ClassVar[str] = "signals"
 
-    lower: float = Field(-math.inf, description="in the variable's unit; default: none")
-    upper: float = Field(math.inf, description="in the variable's unit; default: none")
+    lower: float = Field(
+        -math.inf, description="lower limit of the variable, in its unit; default: none"
+    )
+    upper: float = Field(
+        math.inf, description="upper limit of the variable, in its unit; default: none"
+    )
 
 
 class StartLimits(Settings):
@@ -51,8 +57,8 @@ class StartLimits(Settings):
 
     section: ClassVar[str] = "start"
 
-    lower: Finite = Field(description="in the variable's unit")
-    upper: Finite = Field(description="in the variable's unit")
+    lower: Finite = Field(description="smallest start value, in the unit of the variable")
+    upper: Finite = Field(description="largest start value, in the unit of the variable")
 
 
 class ExperimentLimits(Settings):
@@ -61,23 +67,27 @@ class ExperimentLimits(Settings):
     section: ClassVar[str] = "limits"
 
     inputs: dict[str, InputLimits] = Field(
-        default_factory=dict, description="inputs to be designed, by their names in the FMU"
+        default_factory=dict, description="inputs to design, by their names in the FMU"
     )
     duration: Annotated[Pair, BeforeValidator(_pair)] = Field(
-        description="seconds, or [shortest, longest]"
+        description="duration in seconds, or [shortest, longest]"
     )
     sample_time: Finite = Field(
         gt=0.0, description="seconds between two samples of inputs and outputs"
     )
     signals: dict[str, SignalLimits] = Field(
         default_factory=dict,
-        description="outputs and other variables that must stay within limits; default: outputs "
-        "may leave their range in the run by at most half of this range",
+        description=(
+            "outputs and other variables that must stay within limits; default: outputs may leave "
+            "their range in the run by at most half of that range"
+        ),
     )
     like: str = Field(
         "",
-        description="experiment of the run with the same initial state and the same measured "
-        "outputs as the next one; default: the first training experiment",
+        description=(
+            "experiment of the run that has the same initial state and the same measured outputs "
+            "as the next experiment; default: the first training experiment"
+        ),
     )
     start: dict[str, StartLimits] = Field(
         default_factory=dict,
@@ -93,16 +103,18 @@ class ExperimentLimits(Settings):
             if given.start is not None and not given.lower <= given.start <= given.upper:
                 raise sentence(
                     f"inputs.{name}.start: must lie between lower, {given.lower:g}, and upper, "
-                    f"{given.upper:g}, but is {given.start:g}; change one"
+                    f"{given.upper:g}, but is {given.start:g}; change one of the three"
                 )
         for name, signal in self.signals.items():
             _check_range(signal, f"signals.{name}")
             if math.isinf(signal.lower) and math.isinf(signal.upper):
-                raise sentence(f"signals.{name}: must have lower or upper but has neither; add one")
+                raise sentence(
+                    f"signals.{name}: must have lower or upper, but has neither; add one of them"
+                )
         if not self.inputs and not self.start:
             raise sentence(
-                "inputs: must name at least one input that may be chosen, or start a start value, "
-                "but there is neither; add [inputs.NAME] with lower and upper"
+                "inputs: must name at least one input, or start must name at least one start "
+                "value, but both are empty; add [inputs.NAME] with lower and upper"
             )
         for name, between in self.start.items():
             _check_range(between, f"start.{name}")
@@ -110,7 +122,7 @@ class ExperimentLimits(Settings):
             if given.hold > self.duration[0]:
                 raise sentence(
                     f"{dotted('inputs', name)}.hold: must be at most the duration, "
-                    f"{self.duration[0]:g} s, but is {given.hold:g} s; change one"
+                    f"{self.duration[0]:g} s, but is {given.hold:g} s; change one of the two"
                 )
         return self
 
@@ -118,24 +130,24 @@ class ExperimentLimits(Settings):
         shortest, longest = self.duration
         if not 0.0 < shortest <= longest:
             raise sentence(
-                "duration: must be seconds, or [shortest, longest], but is "
-                f"{list(self.duration)}; change it"
+                "duration: must be positive seconds, or [shortest, longest] with shortest <= "
+                f"longest, but is {list(self.duration)}; change it"
             )
         if shortest / self.sample_time < FEWEST_SAMPLES:
             raise sentence(
-                f"sample_time: must leave at least {FEWEST_SAMPLES} samples in a duration of "
-                f"{shortest:g} s but is {self.sample_time:g} s; change one"
+                f"sample_time: must give at least {FEWEST_SAMPLES} samples in a duration of "
+                f"{shortest:g} s, but is {self.sample_time:g} s; change one of the two"
             )
         if longest / self.sample_time > MOST_SAMPLES:
             raise sentence(
                 f"sample_time: must give at most {MOST_SAMPLES:,} samples in a duration of "
-                f"{longest:g} s but is {self.sample_time:g} s; change one"
+                f"{longest:g} s, but is {self.sample_time:g} s; change one of the two"
             )
 
 
 def _check_range(given: InputLimits | SignalLimits | StartLimits, where: str) -> None:
     if not given.lower < given.upper:
         raise sentence(
-            f"{where}.lower: must be below upper, {given.upper:g}, but is {given.lower:g}; "
-            "change one"
+            f"{where}.lower: must be below upper, {given.upper:g}, but is {given.lower:g}; change "
+            "one of the two"
         )

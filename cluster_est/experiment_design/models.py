@@ -185,7 +185,7 @@ def fit_candidates(
             why = solution.message or str(solution.ending)
             raise ProblemError(
                 f"{model.name}: must be simulated with the estimates of the run to plan an "
-                f"experiment but was not ({why})"
+                f"experiment, but this simulation failed ({why})"
             )
     found = assess(spaces[0], solutions[0]).intervals
     ratios = np.array([each.std_error / each.error_white for each in found])
@@ -268,12 +268,12 @@ def _notes(found: FittedCandidate, solution: Solution) -> Iterator[str]:
     ]
     if far:
         yield (
-            f"fitted again for the design, {name} has other values than in the run: "
-            f"{', '.join(far[:3])}{' and others' if len(far) > 3 else ''} by more than half a "
-            "standard error; the run may not have converged, or have had constraints on signals"
+            f"the new fit of {name} for the design differs from the run by more than half a "
+            f"standard error in {', '.join(far[:3])}{' and others' if len(far) > 3 else ''}; the "
+            "run may not have converged, or may have had constraints on signals"
         )
     if found.held:
         yield (
-            f"{', '.join(found.held[:3])} of {name} stood at a bound and "
-            f"{'was' if len(found.held) == 1 else 'were'} held there"
+            f"{', '.join(found.held[:3])} of {name} {'was' if len(found.held) == 1 else 'were'} at "
+            f"a bound and {'is' if len(found.held) == 1 else 'are'} kept there"
         )

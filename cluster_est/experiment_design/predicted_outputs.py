@@ -67,7 +67,7 @@ class DesignQueue:
 
 FLAT = 1e-9
 """Singular value of the moves of all unknowns, in units of their sizes, that counts as 0."""
-BROKEN = "derivatives could not be simulated"
+BROKEN = "the simulations for the derivatives failed"
 LONGEST_DIFFERENCE = 0.1
 """Largest step of a difference, as a share of an unknown, or of a noticeable change of it where
 that is more."""
@@ -354,16 +354,15 @@ def with_predictions(
         )
         if isinstance(predicted, str):
             raise ProblemError(
-                f"predictions: experiment {experiment.id!r} must be simulated with the estimates, "
-                "and with some of them one standard deviation away, but could not be "
+                f"predictions: experiment {experiment.id!r} must be simulated with the estimates "
+                "and with values one standard deviation away, but a simulation failed "
                 f"({predicted}); name other experiments"
             )
         found += _outputs(fitted, experiment, predicted, units)
     moved = tuple(each for each in found if each.jacobian.any())
     if not moved:
         raise ProblemError(
-            "predictions: must depend on estimates of the run but none of them does; name other "
-            "outputs"
+            "predictions: must depend on estimates of the run, but none does; name other outputs"
         )
     return replace(fitted, targets=moved, notes=(*fitted.notes, *_notes(fitted, experiments)))
 
@@ -398,8 +397,9 @@ def _notes(fitted: FittedCandidate, experiments: Sequence[Experiment]) -> list[s
         return []
     names = list(dict.fromkeys(own))
     return [
-        f"{', '.join(names[:3])}{' and others' if len(names) > 3 else ''}, which only what is "
-        f"predicted has, {'is' if len(names) == 1 else 'are'} taken for known"
+        f"{', '.join(names[:3])}{' and others' if len(names) > 3 else ''}: only the predictions "
+        f"depend on {'it' if len(names) == 1 else 'them'}, so "
+        f"{'its value is' if len(names) == 1 else 'their values are'} taken as known"
     ]
 
 

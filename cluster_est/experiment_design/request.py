@@ -34,20 +34,25 @@ class DesignSettings(Settings):
 
     criterion: str = Field(
         "",
-        description=f"{one_of(CRITERIA)}: distinguish the rivals of a finding (discriminate), or "
-        "reduce the uncertainty of the parameters together (d), of each parameter (a), "
-        "or of predictions (v); default: v with predictions, discriminate with rivals, "
-        "else d",
+        description=(
+            f"{one_of(CRITERIA)}: discriminate distinguishes the rivals of a finding; d reduces "
+            "the joint uncertainty of the parameters, a that of each parameter, and v that of "
+            "predictions; default: v with predictions, discriminate with rivals, else d"
+        ),
     )
     parameters: Names = Field(
         (),
-        description="names of the parameters whose uncertainty is reduced; default: all that "
-        "experiments share",
+        description=(
+            "names of the parameters whose uncertainty is to be reduced; default: all parameters "
+            "that the experiments share"
+        ),
     )
     rivals: Names = Field(
         (),
-        description="names of the models to distinguish, as show prints them; default: all that "
-        "the run kept",
+        description=(
+            "names of the models to distinguish, as show prints them; default: all models that "
+            "the run kept"
+        ),
     )
     waveforms: Names = Field(
         (), description=f"families of inputs: {one_of([*WAVEFORMS, RECORDED])}; default: all"
@@ -71,14 +76,14 @@ class DesignSettings(Settings):
             )
         if self.predictions and self.criterion and not CRITERIA[self.criterion].predicts:
             raise sentence(
-                f'predictions: must be used with the criterion "v" but is with {self.criterion!r}; '
-                "change one of the two"
+                'predictions: must be used with the criterion "v", but the criterion is '
+                f"{self.criterion!r}; change one of the two"
             )
         known_waveforms = [*WAVEFORMS, RECORDED]
         for name in self.waveforms:
             if name not in known_waveforms:
                 raise sentence(
-                    f"waveforms: each must be one of {', '.join(known_waveforms)} but one is "
+                    f"waveforms: each must be one of {', '.join(known_waveforms)}, but one is "
                     f"{name!r}{nearest(name, known_waveforms)}"
                 )
         return self
@@ -157,8 +162,8 @@ def models_of(result: object) -> tuple[CandidateModel, ...]:
     problem, x = getattr(result, "problem", None), getattr(result, "x", None)
     if not isinstance(problem, Problem) or not isinstance(x, dict):
         raise ProblemError(
-            "result: must be what fit or close_loop returned but is "
-            f"{type(result).__name__}; fit first"
+            f"result: must be a result of fit or close_loop but is {type(result).__name__}; fit "
+            "first"
         )
     return (CandidateModel(FITTED_MODEL, problem, x),)
 
@@ -180,7 +185,7 @@ def chosen_models(
         if name not in names:
             raise ProblemError(
                 "rivals: must be among the possible models of the run "
-                f"({', '.join(map(repr, names))}) but has {name!r}{nearest(name, names)}"
+                f"({', '.join(map(repr, names))}), but {name!r} is not{nearest(name, names)}"
             )
     return tuple(m for i, m in enumerate(models) if i == 0 or m.name in settings.rivals)
 
@@ -202,9 +207,9 @@ def check_design(request: DesignRequest) -> None:
     criterion = request.criterion
     if criterion.compares and len(request.models) < 2:
         raise ProblemError(
-            f"criterion: {criterion.name!r} must have at least two models to distinguish but the "
-            'run leaves one; choose "d" or "a", which reduce the uncertainty of its parameters, '
-            'or "v"'
+            f"criterion: {criterion.name!r} needs at least two models to distinguish, but the run "
+            'has only one; choose "d" or "a", which reduce the uncertainty of its parameters, or '
+            '"v"'
         )
 
 
@@ -226,8 +231,9 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         shared = tuple(unknown.label for unknown in unknowns if _is_shared(unknown, groups))
         if not shared:
             raise ProblemError(
-                "parameters: must be shared by experiments, or a new experiment cannot determine "
-                "them better, but each has its own value in every experiment; make one shared"
+                "parameters: must be shared by experiments, because a new experiment cannot "
+                "determine other parameters better, but each has its own value in every "
+                "experiment; share at least one parameter"
             )
         return shared
     found: list[str] = []
@@ -235,8 +241,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         own = [u.label for u in unknowns if name in (u.label, u.parameter.name)]
         if not own:
             raise ProblemError(
-                "parameters: must be among the estimates of the run, but "
-                f"{name!r} is not{nearest(name, labels)}"
+                f"parameters: must be among the estimates of the run, but {name!r} is "
+                f"not{nearest(name, labels)}"
             )
         found += own
     return tuple(dict.fromkeys(found))
@@ -254,21 +260,21 @@ def _check_comparable(problem: Problem) -> None:
     """Refuse a cost without weights, and residuals that are not differences of outputs."""
     if problem.cost.weights(np.zeros(1), np.zeros(1, np.int64)) is None:
         raise ProblemError(
-            f"design: must plan with a cost that has weights, such as sse, but the run's is "
-            f"{problem.cost.name}; fit once more with sse and design from that"
+            "design: needs a run whose cost has weights, such as sse, but the cost of this run is "
+            f"{problem.cost.name}; fit again with sse and design from that run"
         )
     refuse_process_noise(problem, "design")
     for experiment in problem.experiments:
         if experiment.curve is not None or experiment.cost_function is not None:
             raise ProblemError(
                 f"experiment {experiment.id!r}: must have only outputs at measured times for a "
-                "design but has a curve or a cost function; make the run without them"
+                "design, but has a curve or a cost function; repeat the run without them"
             )
         for output in experiment.outputs:
             if not output.is_plain:
                 raise ProblemError(
-                    f"experiment {experiment.id!r}: output {output.variable} must be compared as "
-                    f"it is for a design but has {NOT_PLAIN}; make the run without it"
+                    f"experiment {experiment.id!r}: for a design, output {output.variable} must be "
+                    f"compared directly, but has {NOT_PLAIN}; repeat the run without it"
                 )
 
 
@@ -277,15 +283,16 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
     limits, like, variables = request.limits, request.like, description.variables
     if not any(len(output.times) for output in like.outputs):
         raise ProblemError(
-            f"like: experiment {like.id!r} must have measured outputs but has none; choose another"
+            f"like: experiment {like.id!r} must have measured outputs but has none; choose "
+            "another experiment"
         )
     known = [given.variable for given in like.inputs]
     for name in limits.inputs:
         _check_known(name, dotted("inputs", name), known, f"an input of experiment {like.id!r}")
         if variables[name].type == "Boolean":
             raise ProblemError(
-                f"{dotted('inputs', name)}: must be a number to be designed but is true or false; "
-                "leave it out, so that it is taken from the experiment like"
+                f"{dotted('inputs', name)}: must be a real number to be designed, but is true or "
+                "false; leave this input out, and it is taken from the experiment that like names"
             )
     for key, names in (("signals", limits.signals), ("start", limits.start)):
         for name in names:
@@ -298,8 +305,8 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
             what = "a measured output"
         if what:
             raise ProblemError(
-                f"start.{name}: must be a start value that an experiment can choose but is {what}; "
-                "name an initial state"
+                f"start.{name}: must be a start value that an experiment can choose, but is "
+                f"{what}; name an initial state"
             )
 
 

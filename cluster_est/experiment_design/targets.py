@@ -109,8 +109,8 @@ def _experiments(
     if isinstance(own, Experiment):
         if own.id in known and planned.get(own.id) is not own:
             raise ProblemError(
-                f"predictions: a planned experiment must have a unique name but {own.id!r} is "
-                "used in the run or by another one; rename it"
+                f"predictions: a planned experiment must have a unique name, but {own.id!r} is the "
+                "name of another one; rename it"
             )
         planned[own.id] = own
         known[own.id] = _completed(own, like)
@@ -119,7 +119,8 @@ def _experiments(
         return [experiment for name, experiment in known.items() if name not in planned]
     if own not in known:
         raise ProblemError(
-            f"predictions: experiment must be one of the run but is {own!r}{nearest(own, known)}"
+            "predictions: experiment must be an experiment of the run but is "
+            f"{own!r}{nearest(own, known)}"
         )
     return [known[own]]
 
@@ -160,8 +161,8 @@ def _output(experiment: Experiment, name: str, description: ModelDescription) ->
     times = next((each for each in (*own, *others, *driven) if len(each)), None)
     if times is None:
         raise ProblemError(
-            f"predictions: experiment {experiment.id!r} must have an input or a measured output, "
-            "whose times say when it is predicted, but has neither; name another"
+            f"predictions: experiment {experiment.id!r} must have an input or a measured output to "
+            "define the times of the prediction, but has neither; name another experiment"
         )
     return Output(name, times, np.zeros(len(times)))
 

@@ -240,36 +240,45 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
     """Say what is drawn and what is left out."""
     known, shown, columns = run.curves, charts.shown, charts.columns
     said = (
-        f"Before: {run.before}. The lowest part of each chart is measured minus simulated (after), "
-        f"on its own scale; the dashed lines are {LIMITS_OF_NOISE:g} times the noise."
+        f"Before: {run.before}. The lowest plot of each chart shows measured minus simulated "
+        f"values (after), on its own scale; the dashed lines mark {LIMITS_OF_NOISE:g} times the "
+        "noise."
     )
     long = sum(len(each.measured) > 2 * columns + 2 for each in known.values())
     if long:
         samples = sum(len(each.measured) for each in known.values())
         said += (
-            f" Of {count(samples)} measured values, each of {columns} columns of a chart shows the "
-            "lowest and the highest, so that no peak is lost. "
+            f" There are {count(samples)} measured values. A chart is divided into {columns} "
+            "columns; each shows the lowest and the highest of its values, so that no peak is "
+            "lost. "
         )
-        of = "all" if full == long else f"{full} of {long}"
+        of = "all long records" if full == long else f"{full} of the {long} long records"
         said += (
-            f"Zooming in shows every sample in {of} of the long records."
+            f"If you zoom in, the charts of {of} show every sample."
             if full
-            else "Zooming in shows no other samples."
+            else "If you zoom in, the charts show no further samples."
         )
-        said += " residuals.parquet in the run's folder has them all." if full < long else ""
+        said += (
+            " The file residuals.parquet in the run's folder has all samples."
+            if full < long
+            else ""
+        )
     else:
         said += " Every sample is drawn."
     if any(each.band is not None for each in known.values()):
         said += (
-            " The shaded band shows the output for the posterior of the values; it does not "
-            "include the noise of a measurement."
+            " The shaded band shows the output for parameter values from the posterior; it does "
+            "not include measurement noise."
         )
     most = max(len(each.inputs) for each in known.values())
     if most > MOST_INPUTS:
-        said += f" Of up to {most} inputs that change, {MOST_INPUTS} are drawn."
+        said += (
+            f" If more than {MOST_INPUTS} inputs change (here up to {most}), {MOST_INPUTS} of "
+            "them are drawn."
+        )
     if len(shown) < len(known):
         said += (
-            f" Of {count(len(known))} charts the {len(shown)} with the largest errors are drawn."
+            f" Of {count(len(known))} charts, the {len(shown)} with the largest errors are drawn."
         )
     return said
 
@@ -343,7 +352,7 @@ def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
     """Of a curve without times: how far each of its segments is from what was simulated."""
     segment = np.arange(len(each.residual), dtype=float)
     plot = Plot(
-        f"{name}: distance of each segment",
+        f"{name}: distance of each segment from the simulated curve",
         "distance, relative",
         Scale.around(segment, margin=0.0),
         Scale.around(each.residual, np.zeros(1)),

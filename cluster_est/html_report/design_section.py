@@ -34,10 +34,11 @@ MOST_MODELS = 5
 """Number of models whose predictions are drawn."""
 COVERED = 1.96
 Curve = tuple[FloatArray, FloatArray, FloatArray]
-INPUT_NOTE = "The table next to the run's folder has the input, ready for the experiment."
+INPUT_NOTE = "The table next to the run's folder contains this input, ready for the experiment."
 OUTPUT_NOTE = (
-    "Predictions of each model; the bands are the uncertainty of its parameters (95 %), without "
-    "the noise of the sensors. Where curves differ, the measurement will distinguish the models."
+    "Each curve is the prediction of one model. The bands show the uncertainty from its parameters "
+    "(95 %), without sensor noise. Where the curves differ, the measurement will distinguish the "
+    "models."
 )
 
 
@@ -75,7 +76,7 @@ def _inputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:
     if not plots:
         return []
     chart = Chart(tuple(plots), "time (s)", legend=False, across=5)
-    return [FigureBlock("next-input", "What is fed in", chart, INPUT_NOTE)]
+    return [FigureBlock("next-input", "Input of the experiment", chart, INPUT_NOTE)]
 
 
 def _outputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:
@@ -91,10 +92,10 @@ def _outputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]
                 for name, (time, expected, error) in models.items()
                 if name != first and len(time) == len(reference[0])
             }
-            label = with_unit(f"{output} less that of {first}", unit)
+            label = with_unit(f"{output} minus that of {first}", unit)
             plots.append(_plot(label, others, begin=1))
     chart = Chart(tuple(plots), "time (s)", across=5)
-    return [FigureBlock("expected", "What is expected", chart, OUTPUT_NOTE)] if plots else []
+    return [FigureBlock("expected", "Predicted outputs", chart, OUTPUT_NOTE)] if plots else []
 
 
 def _curves(rows: Sequence[Row]) -> dict[str, Curve]:
@@ -136,10 +137,10 @@ def _models(run: ReportedRun) -> list[Block]:
         )
         for row in models
     ]
-    names = ("if this is right", "#now", "#after it", "#a random input", "#a recorded one")
+    names = ("if this is right", "#now", "#after it", "#a random input", "#a recorded input")
     said = (
-        "The probability that each model is expected to have if it is the right one, among "
-        "itself and the rivals that some input tells from it"
+        "Expected probability of each model if it is the right one, among itself and those rivals "
+        "that at least one input distinguishes from it"
     )
     return [table(names, lines, said)]
 
@@ -156,7 +157,11 @@ def _rivals(run: ReportedRun) -> list[Block]:
     ]
     names = ("rival", "#after it", "#a random input", "#at best")
     return [
-        table(names, lines, f"How many times less likely each rival will be, if {first} is right")
+        table(
+            names,
+            lines,
+            f"How many times less likely each rival is expected to become if {first} is right",
+        )
     ]
 
 
@@ -181,7 +186,7 @@ def _predictions(run: ReportedRun) -> list[Block]:
         table(
             ("predicted", "of", "unit", "#standard deviation now", "#after it", "#a random input"),
             [(code(r["output"]), r["experiment"], r["unit"], *_errors(r)) for r in rows],
-            "Expected uncertainty of the predictions, before and after the experiment: the part "
-            "from the parameters, as a root mean square over the samples",
+            "Expected uncertainty of the predictions before and after the experiment: the part "
+            "that comes from the parameters, as a root mean square over the samples",
         )
     ]

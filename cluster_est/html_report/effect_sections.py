@@ -41,13 +41,13 @@ from workers.messages import FloatArray
 BAND_MARGIN = 1.5
 """Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
 EVIDENCE = (
-    "Dots are estimates from the residuals alone at a few points, without assuming a form, with "
-    "95 % bars; the line is the fitted effect. If the dots lie on the line, the data agree with "
-    "its shape. "
+    "The dots are estimates at a few points, from the residuals alone and without an assumed form; "
+    "their error bars are 95 % intervals. The line is the fitted effect. If the dots lie on the "
+    "line, the data agree with its shape. "
 )
 RANGE = (
-    "The bars below count the samples of the training experiments; beyond them, the line is "
-    "extrapolated."
+    "The bars below the curve count the samples of the training experiments; beyond these bars, "
+    "the line is extrapolated."
 )
 
 
@@ -72,7 +72,9 @@ def shape_figure(row: Row, number: int) -> FigureBlock:
     over = with_unit(row["variable"], row["variable_unit"])
     edges, counts = np.array(row["edges"], float), np.array(row["counts"], float)
     across = Scale.around(edges if len(edges) else x, margin=0.01)
-    title = f"{row['part']} over {over}{', where the training data were' if len(edges) else ''}"
+    title = (
+        f"{row['part']} over {over}{', in the range of the training data' if len(edges) else ''}"
+    )
     if not known:
         title += "; the data do not determine every coefficient, so there is no band"
     upright = Scale.around(y, low[np.isfinite(low)], high[np.isfinite(high)], seen)
@@ -156,14 +158,16 @@ def effects(run: ReportedRun) -> ReportSection:
     rejected = run.facts.get("rejected") or []
     if rejected:
         blocks.append(
-            TextBlock("Not accepted: this shows where to look, not what is missing.", "faint")
+            TextBlock(
+                "Not accepted: these effects show where to look, not what is missing.", "faint"
+            )
         )
         if rejected[0].get("claim"):
             blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
         blocks += [_rivals(each) for each in rejected if each.get("alternatives")]
-    title = "What the model lacked" if run.is_loop else "Effects that were declared"
+    title = "Missing effects" if run.is_loop else "Declared effects"
     return ReportSection("effects", title, tuple(blocks))
 
 
@@ -186,8 +190,10 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
     blocks += _shapes(shapes, _lead(run))
     if not shapes:
-        blocks.append(TextBlock("The folder of this run contains no shapes.", "faint"))
-    blocks.append(SourceBlock("As a block for a config", effect["config"]))
+        blocks.append(
+            TextBlock("The folder of this run contains no curve of this effect.", "faint")
+        )
+    blocks.append(SourceBlock("Block for a config", effect["config"]))
     return blocks
 
 
@@ -197,7 +203,7 @@ def _shapes(rows: Sequence[Row], lead: Row | None = None) -> list[Block]:
         shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"] and row is not lead
     ]
     missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
-    return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]
+    return [*blocks, *(TextBlock(f"No curve is drawn: {why}.", "faint") for why in missing)]
 
 
 def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]:
@@ -226,11 +232,11 @@ def candidates(run: ReportedRun) -> ReportSection:
         blocks.insert(
             0,
             TextBlock(
-                "Each step ranks everything that could be missing by its correlation with the "
-                'residual. "Explained" is the share of the sum of squares of the residual that '
-                "the candidate explains to first order; the criterion is the criterion of its "
-                "refit minus the criterion of the model without it (lower is better). Candidates "
-                "that were not refitted have none."
+                "Each step ranks all candidates for a missing effect by their correlation with the "
+                'residual. "Explained" is the share of the residual\'s sum of squares that the '
+                "candidate explains to first order. The criterion is that of the model refitted "
+                "with the candidate, minus that of the model without it (lower is better). "
+                "Candidates that were not refitted have no criterion."
             ),
         )
     for step in sorted({row["step"] for row in rows}):
@@ -241,10 +247,10 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 
 LEFT_OUT = (
-    '"Left out" is the error of cross-validation on the training data; "held out" is the error '
-    "on held-out experiments over the noise. Only sets that the search accepted have these two "
-    "errors. The answer is the set with the best cross-validation; held-out experiments do not "
-    "choose it, but may reject it."
+    '"Left out" is the error of cross-validation on the training data; "held out" is the error on '
+    "held-out experiments as a multiple of the noise. Only sets that the search accepted have "
+    "these two errors. The answer is the set with the smallest error of cross-validation; held-out "
+    "experiments do not choose it, but may reject it."
 )
 
 
@@ -345,4 +351,6 @@ def _rivals(effect: Row) -> Block:
         criterion, said = other["criterion"], f"{other['words']} at {other['site']}"
         worse = "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3)
         lines.append((said, code(other["equation"]), worse, at, by))
-    return table(names, lines, f"{effect['name']}: {len(lines)} that explain the data equally well")
+    return table(
+        names, lines, f"{effect['name']}: {len(lines)} effects that explain the data equally well"
+    )

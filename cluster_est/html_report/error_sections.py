@@ -172,11 +172,11 @@ def error_picture(run: ReportedRun) -> FigureBlock | None:
     ]
     ends = np.array([1.0 if sizes.is_noise else 0.0])
     across = Scale.around(before[before > 0.0], after[after > 0.0], ends, may_be_log=True)
-    title = f"Error before and after, over {sizes.measure}"
+    title = f"Error before and after, relative to {sizes.measure}"
     names = list(groups)
     note = f"Before: {run.before}."
     if sizes.is_noise:
-        note += " A complete model comes near the line of the noise."
+        note += " The error of a complete model is close to the noise line."
     if sizes.is_noise and "estimated" in sizes.measure:
         note += " The noise of an output is estimated over all training experiments together."
     below = f"error over {sizes.measure}"
@@ -226,7 +226,7 @@ def error_table(run: ReportedRun) -> list[Block]:
     over = ("#over noise",) if sizes.is_noise else ()
     names = ("error of", "", "#before", "#after", "unit", *over, "#of signal")
     left = len(groups) - len(kept)
-    more = [TextBlock(f"{left} smaller ones: see Errors.", "faint")]
+    more = [TextBlock(f"{left} smaller errors: see the section Errors.", "faint")]
     return [table(names, lines), *(more if left else [])] if lines else []
 
 
@@ -251,8 +251,9 @@ def errors(run: ReportedRun) -> ReportSection:
     if not rows:
         return ReportSection("errors", "Errors", ())
     said = (
-        f'Root mean square of measured minus simulated. Before: {run.before}. The column "of the '
-        "signal\" has the error after as a share of the measured signal's standard deviation."
+        f"Root mean square of measured minus simulated values. Before: {run.before}. The column "
+        '"of the signal" shows the error after, as a share of the standard deviation of the '
+        "measured signal."
     )
     folded = len(rows) > MOST_UNFOLDED_ROWS
     picture = error_picture(run)

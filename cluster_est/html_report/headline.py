@@ -29,7 +29,7 @@ LOOP_VERDICTS: dict[str, tuple[str, Tone]] = {
     "partial": ("Found in part", ""),
     "unexplained": ("Something is missing, and no effect explains it", "bad"),
     "none": ("These data do not show that anything is missing", "good"),
-    "none (coloured noise)": ("The remaining error looks like coloured noise of a sensor", "good"),
+    "none (coloured noise)": ("The remaining error looks like coloured sensor noise", "good"),
 }
 FIT_VERDICTS = {"done": "Fitted", "not converged": "The fit did not converge"}
 ENDINGS: dict[str, tuple[str, Tone]] = {
@@ -105,10 +105,10 @@ def _designed(run: ReportedRun) -> str:
     if rows:
         told = sum(row["after"] > max(LIKELY, row["before"]) for row in rows)
         if not told:
-            return f"{said}; it distinguishes no model from its rivals"
+            return f"{said}; it is not expected to distinguish any model from its rivals"
         return (
-            f"{said}; it distinguishes {told} of {len(rows)} models from their rivals, if the "
-            "model is right"
+            f"{said}; it is expected to distinguish {told} of {len(rows)} models from their "
+            "rivals, if that model is the right one"
         )
     before, after = "std_error_before", "std_error_after"
     of_all = run.tables["prediction_precision"] or run.tables["precision"]
@@ -154,7 +154,7 @@ def _opening(run: ReportedRun) -> list[str]:
     if run.is_sensitivity:
         of_all, together = len(run.tables["ranking"]), facts["sensitivity"]["together"]
         how_many = "all" if len(together) == of_all else str(len(together))
-        said = f"At the start values {how_many} of {of_all} unknowns can be estimated together."
+        said = f"At the start values, {how_many} of {of_all} unknowns can be estimated together."
         return [said] if together and of_all > 1 else []
     if run.is_design:
         how, _, expected = facts["design"]["summary"].partition(": ")  # the headline says how
@@ -179,8 +179,8 @@ def _bounds(run: ReportedRun) -> list[str]:
     if not held:
         return []
     if len(held) == 1:
-        return [f"{held[0]} stands at a bound."]
-    return [f"{len(held)} parameters stand at a bound: {_listed(held)}."]
+        return [f"{held[0]} is at a bound."]
+    return [f"{len(held)} parameters are at a bound: {_listed(held)}."]
 
 
 def _at_bounds(run: ReportedRun) -> list[str]:
@@ -219,9 +219,9 @@ def _steps(run: ReportedRun) -> Iterator[NextStep]:
     if not run.finished:
         return
     if run.status == RunStatus.NOT_CONVERGED:
-        yield NextStep("Give it a larger budget, another method, or several starts.")
+        yield NextStep("Give the fit a larger budget, another method, or several starts.")
     if held := _at_bounds(run):
-        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix them if they are known.")
+        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix the values if they are known.")
     yield from _after_loop(run) if run.is_loop else _after_fit(run)
     if not any(row["role"] == "test" for row in run.tables["errors"]):
         yield NextStep('Hold an experiment out (role = "test") to see how well the model predicts.')
@@ -232,7 +232,7 @@ def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     if effects:
         yield NextStep("Export the repaired model.", EXPORT)
     if any(effect.get("alternatives") for effect in effects):
-        yield NextStep("Distinguish the effect from its rivals by another experiment.", DESIGN)
+        yield NextStep("Distinguish the effect from its rivals with another experiment.", DESIGN)
     if run.facts["verdict"] in ("unexplained", "partial"):
         yield NextStep(
             "Look below for the places with the largest remaining error, and allow "
@@ -246,7 +246,7 @@ def _after_fit(run: ReportedRun) -> Iterator[NextStep]:
     if run.too_narrow:
         yield NextStep("See what the model lacks.", LOOK)
     if run.tables["directions"]:
-        yield NextStep("Determine the other parameters by another experiment.", DESIGN)
+        yield NextStep("Determine the other parameters with another experiment.", DESIGN)
     if run.status == RunStatus.DONE and not run.facts.get("doubts"):
         yield NextStep("Export the fitted model.", EXPORT)
 

@@ -131,7 +131,7 @@ def _constraints(run: ReportedRun) -> list[Block]:
         for row in run.tables["constraints"]
     ]
     names = ("constraint", "must be", "#before", "#after", "")
-    return [table(names, lines, "Constraints, over their scales")] if lines else []
+    return [table(names, lines, "Constraints, divided by their scales")] if lines else []
 
 
 def _directions(run: ReportedRun) -> list[Block]:
@@ -151,7 +151,7 @@ def _correlations(run: ReportedRun) -> list[Block]:
                     key=lambda r: -abs(r["correlation"]))[:10]  # fmt: skip
     if strong:
         named = tuple(f"{r['label']} and {r['other']}: {r['correlation']:.3f}" for r in strong)
-        blocks.append(TextBlock(f"Correlations beyond {STRONG} in size:"))
+        blocks.append(TextBlock(f"Correlations above {STRONG} in absolute value:"))
         blocks.append(ItemsBlock(named))
     blocks.append(_map(labels[:MOST_IN_MAP], rows))
     if len(labels) > MOST_IN_MAP:
@@ -177,8 +177,8 @@ def _map(labels: list[str], rows: tuple[Row, ...]) -> MapBlock:
         "Correlations",
         tuple(labels[:-1]),
         lines,
-        "Correlation of the errors of two estimates: if its size is near 1, the data can hardly "
-        "distinguish the two.",
+        "Correlation between the errors of two estimates: if its absolute value is close to 1, "
+        "the data can hardly distinguish the two.",
     )
 
 
@@ -194,9 +194,11 @@ MOST_RANKED, MOST_UNKNOWNS_OVER_TIME, MOST_OUTPUTS_OVER_TIME = 40, 6, 12
 """Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
 
 RANKING_NOTE = (
-    "The bars are 95 % intervals; a parameter with an index of 0 does not change the cost."
+    "The error bars are 95 % intervals; a parameter with an index of 0 does not change the cost."
 )
-TIME_NOTE = "Where a curve is high, that part of a record contains information about the parameter."
+TIME_NOTE = (
+    "Where a curve is high, that part of the record contains information about the parameter."
+)
 
 
 def sensitivity(run: ReportedRun) -> ReportSection:

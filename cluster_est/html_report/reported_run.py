@@ -108,7 +108,7 @@ class ReportedRun:
             return "Design"
         if self.is_sensitivity:
             return "Sensitivity analysis"
-        return "Closed loop" if self.is_loop else "Fit" if self.finished else "Run"
+        return "Search for missing effects" if self.is_loop else "Fit" if self.finished else "Run"
 
     @property
     def too_narrow(self) -> bool:
@@ -120,7 +120,7 @@ class ReportedRun:
     @property
     def before(self) -> str:
         """The model that curves and errors "before" are of."""
-        return "declared model, fitted" if self.is_loop else "start values"
+        return "fitted declared model" if self.is_loop else "start values"
 
 
 def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:

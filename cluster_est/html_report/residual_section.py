@@ -47,11 +47,12 @@ ALIKE = 0.9999
 COVERED = 1.96
 HEIGHT = 130
 NOTE = (
-    "All training experiments together. The residuals of a complete model are white noise: about "
-    "95 % of the autocorrelations lie within the dashed lines, the histogram follows the curve, "
-    "and the means are near 0 over the whole range of every variable. A variable over which the "
-    "means bend is a hint at what is missing. The bars are 95 % intervals of the means; if "
-    "neighbouring samples are correlated, the bars are too short."
+    "The plots combine all training experiments. The residuals of a complete model are white "
+    "noise: about 95 % of the autocorrelations lie between the dashed lines, the histogram follows "
+    "the curve, and the means are close to 0 over the whole range of every variable. If the means "
+    "bend over a variable, this variable is a hint at what is missing. The error bars are 95 % "
+    "intervals of the means; if neighbouring samples are correlated, these intervals are too "
+    "narrow."
 )
 
 
@@ -71,7 +72,7 @@ def residuals(run: ReportedRun) -> ReportSection:
         blocks += _output(f"residual-{number}", name, units.get(name, ""), outputs[name])
     if len(outputs) > len(ranked) > 0:
         blocks.append(TextBlock(f"{len(ranked)} of {len(outputs)} outputs are shown.", "faint"))
-    return ReportSection("residuals", "What is left", tuple(blocks))
+    return ReportSection("residuals", "Residuals", tuple(blocks))
 
 
 def _size(records: list[OutputCurves]) -> float:
@@ -135,7 +136,7 @@ def _histogram(id_: str, rest: list[FloatArray], label: str) -> FigureBlock:
         Line("normal distribution", "before", across, normal),
     ]
     y = Scale(0.0, 1.08 * float(max(heights.max(), normal.max())))
-    title = "Histogram, beside a normal distribution"
+    title = "Histogram, compared with a normal distribution"
     plot = Plot(title, "density x rms", Scale.around(edges, margin=0.0), y, marks, HEIGHT)
     return FigureBlock(id_, title, Chart((plot,), label, legend=False, across=4))
 

@@ -50,16 +50,16 @@ MOST_SETS = 20
 LEAST_CLOSED = -25.0
 """Per cent below which a set of effects stands at the lower end of its picture."""
 STEPS_NOTE = (
-    "The number is the step of the search. At 100 %, nothing but noise is left; below 0 %, a set "
-    "fits worse than the declared model."
+    "The number before a set is the step of the search. At 100 %, only noise is left; below 0 %, "
+    "the set fits worse than the declared model."
 )
 PROFILE_NOTE = (
-    "The curve is the rise of the cost if one parameter is held at a value. Steep sides mean "
-    "that the data determine the parameter. The dashed lines are the ends of its interval."
+    "Each curve shows the rise of the cost if one parameter is held at a value. Steep sides mean "
+    "that the data determine this parameter. The dashed lines mark the ends of its interval."
 )
 PATH_NOTE = (
-    "A good search falls steeply and then becomes flat; a search that still falls at its "
-    "end has not converged."
+    "The cost of a good search falls steeply and then becomes flat; if the cost still falls at the "
+    "end, the search has not converged."
 )
 
 
@@ -79,9 +79,9 @@ def _costs(run: ReportedRun) -> list[str]:
     before, after = run.facts.get("cost_before"), run.facts.get("cost")
     if before is None or after is None:
         if run.finished:
-            ended.append("The cost is not known before and after, because a simulation failed.")
+            ended.append("The cost before and after is not known, because a simulation failed.")
         return ended
-    what = "with the declared model, fitted," if run.is_loop else "at the start values"
+    what = "after the fit of the declared model" if run.is_loop else "at the start values"
     said = f"The cost was {digits(before)} {what} and is {digits(after)}"
     if after and before and abs(after / before - 1.0) > 5e-3:
         larger, smaller = max(after, before), min(after, before)
@@ -110,8 +110,8 @@ def _steps(run: ReportedRun) -> list[Block]:
     names = [f"{row['step']}: {' + '.join(row['effects'])}" for row in best]
     across = Scale.around(closed, np.array([0.0, 100.0]))
     shown = "" if len(best) == len(rows) else f", the best {len(best)} of {len(rows)}"
-    title = f"What each set of effects closed of the gap between error and noise{shown}"
-    below = "% of the gap that is closed, in training"
+    title = f"Share of the gap between error and noise that each set of effects closed{shown}"
+    below = "share of the gap that is closed on the training data (%)"
     return [FigureBlock("steps", title, row_chart(title, below, across, marks, names), STEPS_NOTE)]
 
 
@@ -182,9 +182,9 @@ def _all_searches(run: ReportedRun) -> list[Block]:
         legend=len(marks) <= MOST_LEGEND_ENTRIES,
     )
     note = (
-        "A closed loop makes many searches, here coloured by their purpose. Each dot is an "
-        "iteration of one search. Some searches use only a part of the experiments, and have "
-        "lower costs for that reason."
+        "The search for missing effects runs many parameter searches, coloured here by their "
+        "purpose. Each dot is one iteration of a parameter search. Some of these searches use only "
+        "a part of the experiments, and therefore have lower costs."
     )
     return [FigureBlock("convergence", title, chart, note)]
 
@@ -220,7 +220,7 @@ def _starts(run: ReportedRun) -> list[Block]:
         upright = Scale.around(costs, may_be_log=True, least=LEAST_SPREAD)
         plot = Plot(title, "cost", across, upright, marks, 200)
         chart = Chart((plot,), "starts, the best first")
-        note = "A flat step at the left is one minimum that many starts have reached."
+        note = "A flat step on the left means that many starts reached the same minimum."
         blocks.append(FigureBlock("waterfall", title, chart, note))
     return [*blocks, *_minima(run, rows)]
 
@@ -328,8 +328,8 @@ def _failures(run: ReportedRun) -> list[Block]:
         )
         for each in found
     )
-    hint = TextBlock("To repeat one: cluster-est replay RUN ID.", "faint")
-    return [table(names, rows, "Simulations that failed", folded=len(rows) > 20), hint]
+    hint = TextBlock("To repeat a failed simulation, run cluster-est replay RUN ID.", "faint")
+    return [table(names, rows, "Failed simulations", folded=len(rows) > 20), hint]
 
 
 def _time_line(run: ReportedRun) -> list[Block]:
@@ -345,7 +345,7 @@ def _time_line(run: ReportedRun) -> list[Block]:
     title = f"When the workers were busy{shown}{cut}"
     unit = time_unit(float(edges[-1]))
     seconds = edges / unit.seconds
-    below = f"{unit.name} since the first simulation began; the darker, the busier"
+    below = f"{unit.name} since the first simulation began; darker means busier"
     across = Scale.around(seconds, margin=0.0)
     marks = [Cells("busy", "after", seconds, shares[order])]
     height = max(22, min(44, 400 // len(order)))
@@ -397,4 +397,4 @@ def provenance(run: ReportedRun) -> ReportSection:
             blocks.append(table(names, lines, caption, folded=True))
     if run.config:
         blocks.append(SourceBlock("The config, with every default", run.config))
-    return ReportSection("provenance", "Where this comes from", tuple(blocks))
+    return ReportSection("provenance", "Origin of this result", tuple(blocks))

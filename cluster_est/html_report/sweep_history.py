@@ -44,9 +44,9 @@ FEWEST_DAYS = 2.0
 HEIGHT = 110
 ROLES = (("rmse_train", "training", "after"), ("rmse_test", "held out", "before"))
 NOTE = (
-    "A run is done again when its config, data, FMU or versions have changed. The table compares "
-    "the last two times. Errors are over sigma, which is 1 where none is given. A parameter has "
-    "moved if its 95 % intervals of the two times do not overlap."
+    "A sweep repeats a run when its config, data, FMU or versions have changed. The table compares "
+    "the last two results. Errors are divided by sigma, which is 1 if none is given. A parameter "
+    "has moved if its 95 % intervals from the two results do not overlap."
 )
 
 
@@ -142,7 +142,7 @@ def history(
         figures = [_errors(i, e, named.get(e.run, e.run)) for i, e in enumerate(ranked)]
         blocks.append(GridBlock(tuple(each for each in figures if each is not None)))
         if len(ranked) < len(found):
-            said = f"Drawn are the {len(ranked)} runs whose errors changed most."
+            said = f"The plots show the {len(ranked)} runs whose errors changed most."
             blocks.append(TextBlock(said, "faint"))
     for each in found:
         if each.run == best:

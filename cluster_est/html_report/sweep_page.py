@@ -227,7 +227,7 @@ def _agreement(ranked: Sequence[ListedRun]) -> list[str]:
     if not apart:
         return ["The runs agree: the 95 % intervals of each estimate overlap."]
     named = ", ".join(apart[:5]) + (", …" if len(apart) > 5 else "")
-    return [f"The runs disagree by more than their 95 % intervals on {named}."]
+    return [f"The runs disagree on {named}: the 95 % intervals do not overlap."]
 
 
 def _labels(runs: Sequence[ListedRun]) -> list[str]:
@@ -354,7 +354,7 @@ def _runs(runs: Sequence[ListedRun]) -> ReportSection:
     )
     blocks: list[Block] = [table(names, lines)] if lines else []
     if reasons:
-        blocks.append(table(("run", "", "why"), reasons, "Reasons of failed runs"))
+        blocks.append(table(("run", "", "why"), reasons, "Reasons for failed runs"))
     return ReportSection("runs", "Runs", tuple(blocks))
 
 

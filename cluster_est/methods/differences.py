@@ -127,7 +127,8 @@ def without_guesses(
         else ""
     )
     message = (
-        f"{Ending.DERIVATIVES_MISSING}: simulations near the last point failed for {shown}{more}"
+        f"{Ending.DERIVATIVES_MISSING}: simulations close to the last point failed for "
+        f"{shown}{more}"
     )
     return replace(solution, ending=Ending.DERIVATIVES_MISSING, message=message)
 

@@ -101,7 +101,7 @@ class JacobianProvider:
         self._longer *= LENGTHENING
         self.note = (
             f"the finite differences used relative steps of {relative:.1g}, because shorter steps "
-            "were unreliable: the simulations are noisy, or the cost has a kink"
+            "were unreliable: either the simulations are noisy, or the cost has a kink"
         )
         return True
 
@@ -122,7 +122,7 @@ class JacobianProvider:
                 found = (yield from check_sensitivities(self._space, x, found)) or found
             if isinstance(found, ResidualJacobian):
                 return found
-            self.note = f"differences replaced sensitivities: {found.reason}"
+            self.note = f"finite differences were used instead of sensitivities: {found.reason}"
             self.scheme = "forward"
         space = scaled if self.scheme == "central" else self._space
         relative = self._relative(self._longer)
@@ -195,7 +195,9 @@ def check_sensitivities(
     x_plus, x_minus = _check_points(space, x, found)
     plus, minus = yield Points(np.vstack([x_plus, x_minus]), "sensitivities_check")
     if not (plus.ok and minus.ok):
-        return UnusableSensitivities(f"they could not be checked ({plus.reason or minus.reason})")
+        return UnusableSensitivities(
+            f"the sensitivities could not be checked ({plus.reason or minus.reason})"
+        )
     expected, change = found.matrix @ (x_plus - x_minus), plus.residuals - minus.residuals
     tolerance = SENSITIVITY_AGREEMENT + 10.0 * (space.problem.model.solver.rtol or 0.0)
     whole = max(float(np.linalg.norm(change)), float(np.linalg.norm(expected)))
@@ -205,7 +207,7 @@ def check_sensitivities(
         if error > tolerance * size:
             name = space.problem.experiments[space.experiments[e]].id
             return UnusableSensitivities(
-                f"the FMU's directional derivatives disagree with differences by "
+                "the FMU's directional derivatives differ from finite differences by "
                 f"{100.0 * error / size:.2g} % in experiment {name!r}"
             )
     return None

@@ -200,13 +200,15 @@ class Ending(enum.StrEnum):
 
     CONVERGED = "converged"
     PERFECT = "the residuals are zero"
-    MAX_ITERATIONS = "stopped at the limit of iterations; raise method.options.max_iterations"
-    STALLED = "no step lowers the cost any more, but the gradient is not zero"
+    MAX_ITERATIONS = (
+        "stopped at the maximum number of iterations; raise method.options.max_iterations"
+    )
+    STALLED = "no further step lowers the cost, but the gradient is not zero"
     START_FAILED = "the start could not be simulated"
     DERIVATIVES_FAILED = "no derivative could be computed"
     DERIVATIVES_MISSING = "some derivatives could not be computed, so this may not be a minimum"
-    NO_EFFECT = "no unknown changes the residuals, so there is no direction of descent"
-    INFEASIBLE = "no point was found that satisfies the constraints"
+    NO_EFFECT = "no unknown affects the residuals, so there is no direction of descent"
+    INFEASIBLE = "no point that satisfies the constraints was found"
     BUDGET = "the budget is used up"
     INTERRUPTED = "interrupted"
 
@@ -323,7 +325,7 @@ class Method(ABC):
 
 
 CUT_SHORT = (
-    f"{Ending.STALLED}: the steps became too short because simulations of longer ones failed"
+    f"{Ending.STALLED}: the steps became too short, because simulations at longer steps failed"
 )
 """The message of a search that ends there."""
 
@@ -335,7 +337,7 @@ def is_defined(at: Evaluation) -> bool:
 
 def undefined_reason(at: Evaluation) -> str:
     """Return why the values of an evaluation are not defined, for a message."""
-    return at.reason or "the cost or a constraint has no value there"
+    return at.reason or "the cost or a constraint has no value at this point"
 
 
 def worst_constraint(space: SearchSpace, at: Evaluation) -> str:
@@ -346,7 +348,7 @@ def worst_constraint(space: SearchSpace, at: Evaluation) -> str:
     sizes = np.where(space.equality, np.abs(values), np.maximum(values, 0.0))
     worst = int(np.argmax(np.where(np.isnan(sizes), np.inf, sizes)))
     name = space.constraint_names[worst]
-    return f"the constraint {name!r} is violated most, by {sizes[worst]:.3g} of its scale"
+    return f"the constraint {name!r} is violated most, by {sizes[worst]:.3g} times its scale"
 
 
 RequestResult = TypeVar("RequestResult")

@@ -237,8 +237,8 @@ class _LineSearch:
 NEGLIGIBLE_SIMPLEX = 1e-3
 """Part of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
 COLLAPSES = (
-    "the simplex collapsed after every restart at a point where a poll still lowers the cost; "
-    'raise method.options.max_restarts, or use method "pattern_search"'
+    "after every restart, the simplex collapsed at a point where a poll step still lowers the "
+    'cost; raise method.options.max_restarts, or use method "pattern_search"'
 )
 
 
@@ -311,7 +311,7 @@ class NelderMead(Method):
             p = space.unknowns[bounded[0]].parameter
             raise ProblemError(
                 f"{dotted('parameters', p.name)}.bounds: must be absent, because method "
-                f'"nelder_mead" does not keep bounds by default, but are [{p.lower:g}, '
+                f'"nelder_mead" does not enforce bounds by default, but are [{p.lower:g}, '
                 f'{p.upper:g}]; remove the bounds, set method.options.bounds = "enforce", or use '
                 'method "pattern_search"'
             )
@@ -320,7 +320,7 @@ class NelderMead(Method):
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
         if not np.isfinite(at.rank[1]):
-            reason = at.reason or "the cost has no value there"
+            reason = at.reason or "the cost has no value at the start"
             return Solution(space.start, np.nan, Ending.START_FAILED, reason)
         if space.size == 1:
             limits = self.initial_step, self.xtol, self.max_iterations

@@ -45,24 +45,25 @@ _README = """# {name}
 
 ## How it works
 
-The original FMU lies unpacked in resources/original; the library in binaries/ loads it from there.
+The original FMU is unpacked in resources/original; the library in binaries/ loads it from there.
 {simulation}
 
-The effects are byte code in resources/repaired.bin, with what else that library must know of them.
-The library is the same in every FMU that this version of cluster-est exports; its licence is in
-documentation/licenses, and must go with it.
+The file resources/repaired.bin has the effects as byte code, and other data that the library needs.
+The library is the same in every FMU that this version of cluster-est exports. Its licence is in
+documentation/licenses, and must be distributed with it.
 """
-_EXCHANGE = """In co-simulation the wrapper integrates the repaired model with {solver}. In model
-exchange the tool integrates: the run had a relative tolerance of {tolerance:g}, which is the FMU's
-default too, and a looser one, or an output interval that inputs change within, adds an error of its
-own. Delays and backlashes are sampled at completed integrator steps."""
-_SIMULATION = """The original is for co-simulation, so this FMU is too; it makes the steps of the
-run."""
+_EXCHANGE = """In co-simulation, the wrapper integrates the repaired model with {solver}. In model
+exchange, the importing tool integrates. The run had a relative tolerance of {tolerance:g}, which is
+also the default of this FMU. A looser tolerance adds an error, and so does an output interval
+within which inputs change. Delays and backlash are sampled at completed integrator steps."""
+_SIMULATION = """The original FMU is for co-simulation, and so is this one. It makes the steps of
+the run."""
 _STEP = """In co-simulation, {sentence}.
 
-In the run, inputs were linear between their samples, or held, as in its config. Here they were
-kept constant within each communication step, as most tools do, and every experiment had its own
-values. Tools that set input derivatives (fmi2SetRealInputDerivatives) may take longer steps."""
+In the run, inputs were interpolated linearly or held between their samples, as its config says.
+For these figures, they were kept constant within each communication step, as most tools do, and
+every experiment had its own values. Tools that set input derivatives
+(fmi2SetRealInputDerivatives) may take longer steps."""
 
 
 def readme(layout: WrapperLayout, name: str, tool: str, step: StepErrors | None) -> str:
@@ -93,7 +94,9 @@ def readme(layout: WrapperLayout, name: str, tool: str, step: StepErrors | None)
         effects="\n".join(f"    {line}".rstrip() for line in describe_repair(repair).split("\n")),
         data=_data(repair),
         errors=_errors(repair),
-        step="It was not measured." if step is None else _step(step),
+        step="The error at different communication steps was not measured."
+        if step is None
+        else _step(step),
         simulation=how,
     )
 
@@ -113,7 +116,7 @@ def _data(repair: RepairedModel) -> str:
 
 def _errors(repair: RepairedModel) -> str:
     if not repair.errors:
-        return "Nothing was reported."
+        return "The run reported no errors."
     lines = [
         f"Root mean square errors; before: {repair.without}; after: with everything in this FMU.",
         "",
@@ -130,7 +133,9 @@ def _errors(repair: RepairedModel) -> str:
 
 def _step(found: StepErrors) -> str:
     if found.why_not:
-        return f"It was not measured, because {found.why_not}."
+        return (
+            f"The error at different communication steps was not measured, because {found.why_not}."
+        )
     names = [name for name, _ in found.reported]
     units = dict(found.units)
     heads = [f"RMSE of {_cell(n)}{f' ({units[n]})' if units.get(n) else ''}" for n in names]
@@ -243,30 +248,31 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
     notes = []
     if layout.repair.problem.model.solver.name == "cvode":
         notes.append(
-            "in co-simulation the exported FMU integrates with dormand_prince where the run used "
-            "cvode, which is slow if the model is stiff; in model exchange, the solver of the "
-            "importer integrates"
+            "in co-simulation, the exported FMU integrates with dormand_prince and not, as the run "
+            "did, with cvode; this is slow if the model is stiff; in model exchange, the importing "
+            "tool integrates"
         )
     there = wrapper_platforms()
     absent = [p for p in _original_platforms(layout) if p in FMI2_PLATFORMS and p not in there]
     if absent:
         notes.append(
-            f"the exported FMU does not run on {' and '.join(absent)}, although the original "
-            "does: this installation of cluster-est has no library for it; a wheel has libraries "
+            f"the exported FMU does not run on {' and '.join(absent)}, although the original does, "
+            "because this installation of cluster-est has no library for it; a wheel has libraries "
             "for all platforms"
         )
     if layout.signals:
         one = len(layout.signals) == 1
         notes.append(
-            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the "
-            "exported FMU, because effects depend on the measurements there"
+            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the exported "
+            "FMU, because effects depend on "
+            f"{'this measured signal' if one else 'these measured signals'}"
         )
     if layout.left_out:
         more = len(layout.left_out) - _MOST_NAMED
         notes.append(
-            "the exported FMU lacks "
+            "the exported FMU does not show "
             f"{', '.join(layout.left_out[:_MOST_NAMED])}{f' and {more} more' if more > 0 else ''}, "
-            "which FMI 2.0 cannot describe; they keep the values of the original"
+            "because FMI 2.0 cannot describe such variables; they keep the values of the original"
         )
     return tuple(notes)
 

@@ -135,7 +135,7 @@ class RepairedModel:
     notes: tuple[str, ...]
     errors: tuple[ReportedError, ...] = ()
     ranges: Mapping[str, str] = field(default_factory=dict)
-    without: str = "the original at the start values"
+    without: str = "the original FMU at the start values"
     of_experiments: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
@@ -162,7 +162,12 @@ def describe_effects(repair: RepairedModel) -> str:
         prefix = f"{effect.effect.name}."
         lines += [f"  {_line(value, prefix)}" for value in values]
         if effect.effect.name in repair.ranges:
-            lines += [f"    estimated over {repair.ranges[effect.effect.name]}; beyond, a guess"]
+            lines += [
+                (
+                    f"    estimated over {repair.ranges[effect.effect.name]}; extrapolated outside "
+                    "this range"
+                )
+            ]
     return "\n".join(lines) + "\n"
 
 
@@ -236,11 +241,11 @@ class ParameterReader:
         ids = [e.id for e in self.problem.experiments]
         more = ", ..." if len(ids) > MOST_NAMED_EXPERIMENTS else ""
         return (
-            f"{', '.join(names)} {'has' if one else 'have'} a value for each experiment and "
-            f"{'keeps its' if one else 'keep their'} start in the exported FMU"
-            f"{' (' + ', '.join(known) + ')' if known else ''}; choose the values of one with "
-            "--experiment ID, in Python experiment=ID, of "
-            f"{', '.join(ids[:MOST_NAMED_EXPERIMENTS])}{more}"
+            f"{', '.join(names)} {'has' if one else 'have'} a value for each experiment, so the "
+            "exported FMU keeps the start "
+            f"value{'' if one else 's'}{' (' + ', '.join(known) + ')' if known else ''}; to use "
+            "the values of one experiment, give --experiment ID, or experiment=ID in Python, with "
+            f"one of {', '.join(ids[:MOST_NAMED_EXPERIMENTS])}{more}"
         )
 
     def _of_experiments(
@@ -279,9 +284,9 @@ class ParameterReader:
             at += len(own)
             if effect.is_noise:
                 notes.append(
-                    f"effect {effect.name!r} is process noise and is left out: the run "
-                    "computed its errors from predictions, so they differ from the errors of a "
-                    "simulation of the exported model"
+                    f"effect {effect.name!r} is process noise and is left out: the errors of the "
+                    "run are those of predictions, so they differ from the errors of a simulation "
+                    "of the exported model"
                 )
                 continue
             units = coefficient_units(definition, self.description)
@@ -291,7 +296,7 @@ class ParameterReader:
             )
             if definition.is_neutral(np.array([value.value for value in values])):
                 notes.append(
-                    f"effect {effect.name!r} has no influence at its values and is left out"
+                    f"effect {effect.name!r} is left out, because it has no influence at its values"
                 )
                 continue
             kept.append(definition)
@@ -323,7 +328,7 @@ class ParameterReader:
 
 
 Row = Mapping[str, Any]
-FITTED = "the original with its parameters fitted"
+FITTED = "the original FMU with fitted parameters"
 """What the errors of a closed loop before its repair are those of."""
 
 
@@ -353,13 +358,13 @@ def gather(
     if not table.is_file():
         check_has_estimates(run_folder)
         raise RunFolderError(
-            f"{run_folder}: must be the folder of a finished run but is {facts.get('status')!r}; "
-            "finish it with --resume"
+            f"{run_folder}: must be the folder of a finished run, but the status of the run is "
+            f"{facts.get('status')!r}; finish it with --resume"
         )
     if not facts.get("config_hash"):
         raise RunFolderError(
-            f"{run_folder}: was saved from Python and has no config to be exported from; use "
-            "cluster_est.export(result, ...) there"
+            f"{run_folder}: must have a config to be exported from, but was saved from Python "
+            "without one; use cluster_est.export(result, ...) in Python"
         )
     problem = _problem(run_folder, facts, config, allow_code=allow_code)
     _check_same(run_folder, facts, problem)
@@ -428,7 +433,9 @@ def _problem(run_folder: Path, facts: Row, config: Path | None, *, allow_code: b
     try:
         raw = tomllib.loads(text)
     except ValueError as error:
-        raise RunFolderError(f"{path}: cannot be read ({error}); it belongs to the run") from error
+        raise RunFolderError(
+            f"{path}: cannot be read ({error}); this file is a part of the run, so restore it"
+        ) from error
     resolved = parse_config(raw, str(path))
     found = [tomllib.loads(effect["config"])["effects"][0] for effect in facts.get("effects", [])]
     names = {section.name or section.form for section in resolved.effects}

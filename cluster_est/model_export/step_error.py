@@ -70,7 +70,7 @@ class StepErrors:
     def sentence(self) -> str:
         """What a user of the exported FMU should know of its communication step."""
         if self.why_not:
-            return f"the communication step was not measured: {self.why_not}"
+            return f"the error at different communication steps was not measured: {self.why_not}"
         first, at_first = self.measured[0]
         run = _text(self.reported, self.units)
         held = "a tool that keeps inputs constant within a communication step"
@@ -85,7 +85,7 @@ class StepErrors:
         if self.reproduces == first:
             return step
         return (
-            f"{step} in a tool that keeps inputs constant within a step; with {first:.6g} s the "
+            f"{step} in a tool that keeps inputs constant within a step; with {first:.6g} s, the "
             f"RMSE is {_text(at_first, self.units)}"
         )
 
@@ -108,7 +108,10 @@ def measure_step(repair: RepairedModel, archive: bytes) -> StepErrors:
     chosen = _experiments(repair)
     if not chosen:
         return StepErrors(
-            why_not="no experiment has outputs over time, an error and all its values"
+            why_not=(
+                "no experiment has outputs over time, a reported error and known values of all "
+                "parameters"
+            )
         )
     reported = _reported(repair, chosen)
     units = {e.output: e.unit for e in repair.errors}

@@ -289,9 +289,9 @@ def _refuse_read(effects: tuple[EffectDefinition, ...], description: ModelDescri
         read = [n for n in effect.uses if (v := description.variables.get(n)) and v.is_read]
         if effect.site.kind != "output" and read:
             raise ModelError(
-                f"--fmu: effect {effect.effect.name!r} at {effect.site} must not depend on what an "
-                f"FMU for co-simulation computes but depends on {read[0]!r}; use --ssv, --modelica "
-                "or --text, or model exchange"
+                f"--fmu: effect {effect.effect.name!r} at {effect.site} must not depend on a "
+                f"variable that an FMU for co-simulation computes, but depends on {read[0]!r}; use "
+                "--ssv, --modelica or --text, or model exchange"
             )
 
 
@@ -310,8 +310,8 @@ def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
         if name in left_out:
             kind = repair.description.variables[name].type
             raise ModelError(
-                f"--fmu: all variables that the run uses must exist in FMI 2.0 but {name!r} is a "
-                f"{kind} of FMI 3.0 with no equivalent there; use --ssv, --modelica or --text"
+                f"--fmu: all variables that the run uses must exist in FMI 2.0, but {name!r} is a "
+                f"{kind} of FMI 3.0, which has no equivalent there; use --ssv, --modelica or --text"
             )
 
 
@@ -334,7 +334,8 @@ def _check_inputs(
             if variable is not None and variable.causality == "input" and name not in columns:
                 raise ModelError(
                     f"--fmu: effect {effect.effect.name!r}: the input {name!r} must be a real "
-                    f"variable to be exported but is of type {variable.kind}"
+                    f"variable to be exported, but is of type {variable.kind}; use --ssv, "
+                    "--modelica or --text"
                 )
 
 
@@ -362,7 +363,7 @@ def _added(
     for effect, values, at in zip(
         repair.effects, repair.coefficients, repair.positions, strict=True
     ):
-        what = f"of effect {effect.form.name} at {effect.site}"
+        what = f"coefficient of effect {effect.form.name} at {effect.site}"
         for i, value in enumerate(values):
             text = f"{what}; {value.interval}" if value.interval else what
             rows.append((value.name, "COEFFICIENT", at + i, text, value, ""))

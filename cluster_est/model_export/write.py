@@ -32,10 +32,10 @@ from workers.effects.definition import SIGNAL_SYMBOL, EffectDefinition, variable
 from workers.messages import Value
 
 _NO_FUNCTION = {
-    "backlash": "the play operator: no function of Modelica, see Modelica.Blocks",
+    "backlash": "the play operator is not a function of Modelica; see Modelica.Blocks",
     **dict.fromkeys(
         ("rate_limit", "rate_limit_from_rest"),
-        "no function of Modelica, see Modelica.Blocks.Nonlinear.SlewRateLimiter",
+        "this is not a function of Modelica; see Modelica.Blocks.Nonlinear.SlewRateLimiter",
     ),
 }
 _FUNCTION_NAMES = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sqrt": "sqrt"}
@@ -326,7 +326,7 @@ def _check_not_original(path: Path | None, original: str) -> None:
         return
     if hashlib.sha256(path.read_bytes()).hexdigest() == original:
         raise ConfigError(
-            f"--fmu: must be another file than the original FMU but is {path}; choose another name"
+            f"--fmu: must differ from the original FMU, but is {path}; choose another name"
         )
 
 
@@ -337,8 +337,8 @@ def _check_name(path: Path | None, option: str, suffix: str) -> None:
         raise ConfigError(f"{option}: must end in {suffix} but is {path.name!r}; rename it")
     if not path.parent.is_dir():
         raise ConfigError(
-            f"{option}: must be in a folder that exists but {path.parent} does not; make it, or "
-            "choose another"
+            f"{option}: must be in an existing folder, but {path.parent} does not exist; make it, "
+            "or choose another folder"
         )
     if path.is_dir():
-        raise ConfigError(f"{option}: {path} must be a file but is a folder; choose another")
+        raise ConfigError(f"{option}: must be a file, but {path} is a folder; choose another name")

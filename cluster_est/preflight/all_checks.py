@@ -79,12 +79,15 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     far = float(np.ptp(output.values))
     unit = "" if output.ordinal else subject.description.variables[output.variable].unit
     said = (
-        f"nothing changes in the simulation of {where}{_though(experiment)}: its start is an "
-        f"equilibrium; the measured {output.variable} changes by {f'{far:.3g} {unit}'.strip()}"
+        f"nothing changes in the simulation of {where}{_though(experiment)}: the simulation starts "
+        f"in an equilibrium; but the measured {output.variable} changes by "
+        f"{f'{far:.3g} {unit}'.strip()}"
     )
     return [
         note(
-            "start", said, f"{free_start_advice(subject.problem)}; or give the input that drives it"
+            "start",
+            said,
+            f"{free_start_advice(subject.problem)}; or give the input that causes the change",
         )
     ]
 
@@ -106,7 +109,7 @@ def starts_elsewhere(
 
 def _though(experiment: Experiment) -> str:
     driven = [i.variable for i in experiment.inputs if np.ptp(i.values) > 0.0]
-    return f", though {listed(driven)} does" if len(driven) == 1 else ""
+    return f", although {listed(driven)} changes" if len(driven) == 1 else ""
 
 
 def _still(simulation: Simulation) -> bool:
@@ -168,9 +171,9 @@ def _few_simulations(seconds: float) -> list[CheckFinding]:
         "keep many workers busy: 189 instead of 99 in the embedded example"
     )
     do = (
-        'with few workers method.options = { trials = 1, differences = "forward" }, and with ten '
-        "unknowns or more secant_updates = 20 beside them; for methods de, pso and ga "
-        "early_end = true"
+        'for few workers, set method.options = { trials = 1, differences = "forward" }; for ten or '
+        "more unknowns, set secant_updates = 20 too; for the methods de, pso and ga, set early_end "
+        "= true"
     )
     return [passed("few simulations", said, do)]
 
@@ -181,17 +184,20 @@ def _one_measured(subject: CheckSubject) -> CheckFinding:
 
 def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
     cores = os.cpu_count() or 1
-    said = f"{_shown(seconds)} a simulation (median of {count})"
+    said = f"{_shown(seconds)} for each simulation (median of {count})"
     together = round(BATCH_SECONDS / max(seconds, 1e-6))
     if together > 1:
-        said += f"; a worker gets up to {together} at a time"
+        said += f"; a worker gets up to {together} simulations at a time"
     if seconds < SHORT_SIMULATION_SECONDS:
-        said += "; too short to be sent to another process"
+        said += "; a simulation is too short to be sent to another process"
         do = "" if subject.in_process else 'executor.name = "local" is enough'
     elif cores > 1 and not CAN_FORK:
-        do = f"executor.workers = {cores}"
+        do = f"set executor.workers = {cores}"
     elif subject.in_process and cores > 1:
-        do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
+        do = (
+            f'set executor.name = "processes" and executor.workers = {cores}, or use "ray" for a '
+            "cluster"
+        )
     else:
         do = ""
     return passed("cost", said, do)
@@ -205,19 +211,22 @@ def _shown(seconds: float) -> str:
 
 def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
     if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
-        said = f"{found.count} simulations are too few to see a leak"
+        said = f"{found.count} simulations are too few to detect a memory leak"
         budget, needed = subject.budget, 2.0 * LEAST_COUNT * subject.simulation_seconds
         enough = float(f"{budget.seconds - budget.left + needed:.1g}")
-        do = f"give it more time, --seconds {max(enough, 2.0 * budget.seconds):g}"
+        do = f"give it more time with --seconds {max(enough, 2.0 * budget.seconds):g}"
         return not_done("memory", said, do)
     if found.leak < LEAK:
         return passed("memory", f"no leak in {found.count} simulations")
-    said = f"leaks {found.leak / 1024:.3g} kB a simulation"
+    said = f"each simulation leaks {found.leak / 1024:.3g} kB"
     lasts = subject.growth / found.leak
     if subject.in_process:
-        do = 'executor.name = "processes", whose processes are replaced as they grow'
+        do = (
+            'set executor.name = "processes": its processes are replaced when they have grown too '
+            "large"
+        )
         return note("memory", said, do)
-    said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
+    said += f"; the process is replaced after about {lasts:.3g} simulations (executor.growth)"
     return note("memory", said)
 
 
@@ -300,7 +309,7 @@ def run_checks(
             page = run_checks(smaller, resources, left, declared=False, open_bench=open_bench)
             return replace(page, findings=(*page.findings, refused_parameters(cure.refused)))
         findings = [
-            passed("loads", "it can be loaded and instantiated"),
+            passed("loads", "the FMU can be loaded and instantiated"),
             *bounds(subject),
             *data,
             *_simulation_findings(subject, simulations, cure),
@@ -363,7 +372,7 @@ def _most_telling(simulations: list[Simulation]) -> Simulation:
 
 
 def _not_loaded(stopped: NoAnswer) -> CheckFinding:
-    do = "check that it does not wait for a licence or a window" if stopped.late else ""
+    do = "check that the FMU does not wait for a licence or a window" if stopped.late else ""
     return fault("loads", stopped.message, do)
 
 
@@ -375,7 +384,7 @@ def _simulate(subject: CheckSubject) -> list[Simulation]:
     for e in range(len(problem.experiments)):
         limit = FIRST_SIMULATION * subject.budget.left
         if limit < 0.1 * subject.budget.seconds and found:
-            outcome = Outcome(e, Status.NOT_RUN, message="no time was left for it")
+            outcome = Outcome(e, Status.NOT_RUN, message="no time was left for this experiment")
             found.append(Simulation(e, outcome))
             continue
         task = Task(e, e, values[e], "trajectory", problem.effects)
@@ -399,16 +408,19 @@ def _simulation_findings(
         if outcome.status is Status.NOT_RUN:
             lines.append(not_done(name, outcome.message, _MORE))
         elif outcome.status is Status.TIMEOUT:
-            said = f"at the start values {outcome.message}"
-            lines.append(fault(name, said, f"if it is only slow: {_MORE}"))
+            said = f"at the start values, {outcome.message}"
+            lines.append(fault(name, said, f"if the simulation is only slow, {_MORE}"))
         elif not outcome.ok:
-            said = f"at the start values: {outcome.status}: {outcome.message}"
+            said = f"at the start values, {outcome.status}: {outcome.message}"
             do = _advice(outcome)
             if cure.step is not None and simulation is simulations[0]:
-                do = f"model.step = {cure.step:.3g}, with which the simulation succeeds"
+                do = f"set model.step = {cure.step:.3g}; with this step the simulation succeeds"
             lines.append(fault(name, said, do))
     if successful:
-        said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
+        said = (
+            f"{len(successful)} of {len(simulations)} experiments can be simulated at the start "
+            "values"
+        )
         lines.append(passed("simulates", said))
     return lines
 
@@ -416,15 +428,15 @@ def _simulation_findings(
 def _advice(outcome: Outcome) -> str:
     """Return what to do about a simulation that failed, by the way it ended."""
     if outcome.message.startswith(MESSAGES[TERMINATED]):
-        return "a config whose experiment has a stop before that time"
+        return "write a config with an experiment that stops before that time"
     if 'model.solver = "cvode"' in outcome.message:
-        return 'model.solver = "cvode" in a config, or other start values'
-    return _ADVICE.get(outcome.status, "see the messages of the FMU, or try other start values")
+        return 'set model.solver = "cvode" in a config, or try other start values'
+    return _ADVICE.get(outcome.status, "read the messages of the FMU, or try other start values")
 
 
 _MORE = "give it more time with --seconds"
 _ADVICE = {
-    Status.CRASH: "simulate it in another tool: if it crashes there too, ask its exporter, and "
-    "look for files, libraries or a licence that it needs",
+    Status.CRASH: "simulate the FMU in another tool; if it crashes there too, ask the exporter of "
+    "the FMU, and look for files, libraries or a licence that the FMU needs",
     Status.OUT_OF_MEMORY: "raise executor.memory",
 }

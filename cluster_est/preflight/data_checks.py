@@ -72,10 +72,10 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
         value = stays(description.variables[name])
         count = len(problem.experiments)
         if len(ids) < count:
-            said = f"has no data in {len(ids)} of {count} experiments: it stays at {value} there"
+            said = f"has no data in {len(ids)} of {count} experiments, and stays at {value} there"
             lines.append(passed(f"input {name}", said))
             continue
-        said = f"has no data: it stays at {value}"
+        said = f"has no data, and stays at {value}"
         do = driven_or_constant(name)
         lines.append(note(f"input {name}", said, do))
     return lines
@@ -101,8 +101,8 @@ def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFindi
             if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
                 worst[given.variable] = found
     do = (
-        "correct the column, leave the gap out with rows or windows, or set interpolation = "
-        '"hold" if the signal keeps its value until the next sample'
+        'correct the column, exclude the gap with rows or windows, or set interpolation = "hold" '
+        "if the signal keeps each value until the next sample"
     )
     return [note(f"input {name}", said, do) for name, (_, said) in worst.items()]
 
@@ -124,14 +124,13 @@ def _outlying(problem: Problem) -> list[CheckFinding]:
         found = [_alone(each, output) for each, output in own]
         count, samples = sum(found), sum(len(output.values) for _, output in own)
         if 0 < count <= FEW_OUTLIERS * samples:
-            said = f"{count} of {samples} samples are far from all their neighbours"
+            said = f"{count} of {samples} samples are far from both of their neighbours"
             needs = (
-                ""
-                if all(o.has_sigma for _, o in own)
-                else f", which needs {dotted('sigma', name)},"
+                "" if all(o.has_sigma for _, o in own) else f", which needs {dotted('sigma', name)}"
             )
             do = (
-                f'if they are faults of the sensor: cost.name = "huber"{needs} reduces their weight'
+                "if they are faults of the sensor, reduce their weight with cost.name = "
+                f'"huber"{needs}'
             )
             lines.append(note(f"output {name}", said, do))
     return lines
@@ -176,11 +175,11 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
     return [
         note(
             f"output {name}",
-            f"its values in experiment {each.id} are multiples of {step:.3g}: rounding alone "
-            f"causes an error of {step / STEP_OVER_DEVIATION:.3g}, {times:.2g} times the given "
-            "sigma",
-            f"{dotted('sigma', name)} = NUMBER, of {step / STEP_OVER_DEVIATION:.3g} or more, or "
-            "measure with a finer resolution",
+            f"the values in experiment {each.id} are multiples of {step:.3g}; rounding alone "
+            f"causes an error of {step / STEP_OVER_DEVIATION:.3g}, which is {times:.2g} times the "
+            "given sigma",
+            f"set {dotted('sigma', name)} to {step / STEP_OVER_DEVIATION:.3g} or more, or measure "
+            "with a finer resolution",
         )
         for name, (times, step, each) in worst.items()
     ]
@@ -236,14 +235,15 @@ def long_records(config: Config, problem: Problem) -> list[CheckFinding]:
     most = config.thinning.most()
     found = thinned(problem, most)
     said = (
-        f"for close-loop, sensitivity and design {found.sentence}; close-loop uses more rows, or "
-        "all of them, if thinning changes the declared model"
+        f"for close-loop, sensitivity and design, {found.sentence}; close-loop uses more rows, or "
+        "all of them, if thinning changes the result of the declared model"
     )
     parts = looked_at_in_parts(found.problem, most)
     if most is not None and parts:
         said += (
-            f"; {len(parts)} of them still have more than {IN_PARTS * most:,} rows: effects are "
-            "looked for in a part of each, the first one or the one with the largest error"
+            f"; {len(parts)} of the records still have more than {IN_PARTS * most:,} rows: "
+            "close-loop looks for effects in a part of each, either the first part or the one with "
+            "the largest error"
         )
     return [passed("long records", said)] if found.is_thinner else []
 
@@ -263,12 +263,12 @@ def sigma_findings(config: Config, description: ModelDescription) -> list[CheckF
     for name, ids in missing.items():
         variable = description.variables.get(name)
         unit = f" {variable.unit}" if variable is not None and variable.unit else ""
-        where = f"{listed(list(given))} but not for {name}"
+        where = f"{listed(list(given))}, but not for {name}"
         if name in given:
-            where = f"{name} in {_named(given[name])} but not in {_named(ids)}"
-        said = f"is given for {where}, where it then is 1{unit}"
+            where = f"{name} in {_named(given[name])}, but not in {_named(ids)}"
+        said = f"sigma is given for {where}, where 1{unit} is used instead"
         key = dotted("sigma", name)
-        do = f"{key} = NUMBER, the standard deviation of its noise, or no sigma at all"
+        do = f"give {key} = NUMBER, the standard deviation of the noise, or give no sigma at all"
         lines.append(note("sigma", said, do))
     return lines
 

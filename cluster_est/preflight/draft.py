@@ -42,7 +42,7 @@ def check_variables(mapping: Mapping[str, str], description: ModelDescription) -
             variable = description.variables[name]
             what = variable.causality if variable.kind != "string" else "text"
             raise ModelError(
-                f"--map {name}: must be an input of {description.file} or a computed variable but "
+                f"--map {name}: must be an input or a computed variable of {description.file}, but "
                 f"is a {what}; give the column to another variable"
             )
 
@@ -61,8 +61,8 @@ def check_columns(mapping: Mapping[str, str], tables: Sequence[TableColumns]) ->
         first = tables[0]
         if column in first.unusable:
             raise DataError(
-                f"--map {name}: column {column!r} of {first.path} must hold numbers but does not; "
-                "correct it, or give another one"
+                f"--map {name}: column {column!r} of {first.path} must hold numbers, but does not; "
+                "correct it, or give another column"
             )
         names = [*first.named]
         found = nearest(column, names)
@@ -150,7 +150,9 @@ def draft(
     try:
         archive = fmu.read_bytes()
     except OSError as error:
-        raise ModelError(f"init: {fmu} cannot be read ({error.strerror}); check it") from error
+        raise ModelError(
+            f"init: {fmu} cannot be read ({error.strerror}); check the path and its permissions"
+        ) from error
     description = describe(fmu.name, archive)
     check_variables(known, description)
     found = sources(fmu, data, Reading() if reading is None else reading)
@@ -205,7 +207,7 @@ def _with_known(
         return candidate
     given = known.get(candidate.variable.name)
     if given is None or not given.estimate:
-        return replace(candidate, why_not="not estimated according to the folder's parameters")
+        return replace(candidate, why_not="the folder's parameters say that it is not estimated")
     bounds = given.bounds or candidate.bounds
     return replace(
         candidate,
@@ -270,7 +272,7 @@ def _check_once(data: Sequence[Path]) -> None:
     repeated = [path for path in data if counts[path.resolve()] > 1]
     if repeated:
         raise DataError(
-            f"init: {repeated[0]} must be named once but is named {counts[repeated[0].resolve()]} "
+            f"init: {repeated[0]} must be named once, but is named {counts[repeated[0].resolve()]} "
             "times; remove one, because the same measurements would count twice"
         )
 
@@ -344,7 +346,10 @@ def candidates(description: ModelDescription) -> list[ParameterCandidate]:
         same = next((c.variable.name for c in found if c.variable.name in variable.aliases), "")
         why_not = f"another name of {same}" if same else _why_not(variable, variable.start)
         if not why_not and active == MOST_ACTIVE:
-            why_not = f"{MOST_ACTIVE} are enough to begin with; check says which ones matter"
+            why_not = (
+                f"{MOST_ACTIVE} parameters are enough to begin with; check says which parameters "
+                "matter"
+            )
         active += not why_not
         per = "experiment" if _INITIAL.search(variable.name) else ""
         found.append(ParameterCandidate(variable, variable.start, bounds, origin, why_not, per))
@@ -370,13 +375,13 @@ def _why_not(variable: ModelVariable, start: float) -> str:
     if unit is not None and (not variable.unit or conversion(variable.unit, unit) is not None):
         return "named like a constant of nature"
     if _INITIAL.search(variable.name):
-        return "named like an initial value; estimate it where the experiments begin differently"
+        return "named like an initial value; estimate it if the experiments start differently"
     if _SPECIFIC_HEAT.fullmatch(variable.unit):
         return "a specific heat, which is known for most substances"
     if _SETTINGS.search(variable.name):
         return "named like a setting, not like a property"
     if start == 0.0:
-        return "its start is 0, which does not show its size; give a start and bounds"
+        return "its start is 0, which does not show its order of magnitude; give a start and bounds"
     return ""
 
 
@@ -389,14 +394,14 @@ def _bounds(variable: ModelVariable, start: float) -> tuple[tuple[float, float] 
     if low is not None and high is not None and low < high:
         return (low, high), "bounds: the FMU's min and max"
     if start == 0.0:
-        return None, "no bounds: its size is unknown"
+        return None, "no bounds: its order of magnitude is unknown"
     if low == 0.0 < start:
         return guess, f"bounds: a guess, {how}; the FMU's min is 0"  # a model may divide by it
     if low is not None:
-        return (low, max(guess[1], low + abs(start))), "bounds: the FMU's min, and a guess"
+        return (low, max(guess[1], low + abs(start))), "bounds: the FMU's min, and a guess above"
     if high is not None:
-        return (min(guess[0], high - abs(start)), high), "bounds: a guess, and the FMU's max"
-    said = "" if inside else "; the FMU's own min and max exclude its start"
+        return (min(guess[0], high - abs(start)), high), "bounds: a guess below, and the FMU's max"
+    said = "" if inside else "; the start is outside the FMU's own min and max"
     return guess, f"bounds: a guess, {how}{said}"
 
 
@@ -406,7 +411,7 @@ def _guess(variable: ModelVariable, start: float) -> tuple[tuple[float, float], 
     else:
         ends, how = (
             (start / GUESSED_BOUND_FACTOR, start * GUESSED_BOUND_FACTOR),
-            "a tenth and ten times the start",
+            "from a tenth of the start to ten times the start",
         )
     low, high = sorted(float(f"{end:.12g}") for end in ends)
     return (low, high), how

@@ -106,15 +106,15 @@ def sources(fmu: Path, data: Sequence[Path], reading: Reading) -> DraftSources:
         found = tuple(_reference(fmu, each, reading) for each in reference_experiments(fmu))
         if not found:
             raise DataError(
-                f"init: {fmu} must carry reference results (FMI-LS-REF) where no table is named "
-                "but carries none; name a table"
+                f"init: {fmu} must contain reference results (FMI-LS-REF) if no table is named, "
+                "but contains none; name a table"
             )
         return DraftSources(found)
     folders = [path for path in data if path.is_dir()]
     if folders and len(data) > 1:
         raise DataError(
-            f"init: {folders[0]} must be named alone, because it is a folder of tables, but is "
-            "named with others; name its files instead"
+            f"init: {folders[0]} is a folder of tables, so it must be the only argument besides "
+            "the FMU, but others are given; name the files in it instead"
         )
     if folders:
         return _folder(folders[0], reading)
@@ -145,7 +145,7 @@ def _folder(folder: Path, reading: Reading) -> DraftSources:
     measured = files["measurements"]
     if measured is None:
         raise DataError(
-            f"init: {folder} must have a table called measurements (.tsv or .csv) but has none; "
+            f"init: {folder} must have a table called measurements (.tsv or .csv), but has none; "
             "name the tables themselves"
         )
     long = Reading(long=("observableId", "measurement"))
@@ -176,8 +176,8 @@ def _file(folder: Path, role: str) -> Path | None:
     ]
     if len(found) > 1:
         raise DataError(
-            f"init: {folder} must have one table of {role} but has {found[0].name} and "
-            f"{found[1].name}; move one"
+            f"init: {folder} must have one table of {role}, but has {found[0].name} and "
+            f"{found[1].name}; move one elsewhere"
         )
     return found[0] if found else None
 
@@ -225,7 +225,7 @@ def _parameter(row: dict[str, str]) -> tuple[str, KnownParameter]:
     start = _value(row.get("nominalValue", ""))
     if not isinstance(start, float):
         raise DataError(
-            f"init: parameters: {row.get('parameterId')} must have a nominalValue but has none; "
+            f"init: parameters: {row.get('parameterId')} must have a nominalValue, but has none; "
             "add it"
         )
     scale = "log" if row.get("parameterScale", "lin").startswith("log") else "linear"

@@ -56,28 +56,35 @@ def _model(draft: ConfigDraft, folder: Path) -> Iterator[str]:
     yield f'interface = "{chosen}"  # {_why(description)}'
     if exchange:
         yield (
-            'solver = "dormand_prince"  # adaptive; if check says that the model is stiff: "cvode"'
+            'solver = "dormand_prince"  # adaptive; if check says that the model is stiff, use '
+            '"cvode"'
         )
         return
-    yield "# its own solver; choose a step at which the result no longer depends on it"
+    yield (
+        "# The solver of the FMU is used; choose a step so short that a shorter one changes "
+        "nothing."
+    )
     step = description.fixed_internal_step or description.default_step
-    said = "seconds between communication points; default: from one time in the data to the next"
+    said = "seconds between communication points; default: the time between measured samples"
     yield f"# step = {inline(step or 0.01)}  # {said}"
 
 
 def _why(description: ModelDescription) -> str:
     """Return why an interface was chosen, for a comment."""
     if len(description.interfaces) == 1:
-        return "the only one that the FMU offers"
-    return f"of {' and '.join(description.interfaces)}: every effect can be tried in it"
+        return "the only interface that the FMU offers"
+    return (
+        f"the FMU offers {' and '.join(description.interfaces)}; with this one every effect can be "
+        "tried"
+    )
 
 
 def _parameters(draft: ConfigDraft) -> Iterator[str]:
     yield (
-        "# These are estimated from all experiments together. Remove the # before values that "
-        "are uncertain, and"
+        "# These parameters are estimated from all experiments together. Remove the # before "
+        "values that are"
     )
-    yield "# put one before values that you know; these keep the value of the FMU."
+    yield "# uncertain, and put a # before values that you know, which then are those of the FMU."
     yield "[parameters]"
     if not draft.parameters:
         yield f"# {draft.fmu.name} declares no real parameter with a start value, so there is"
@@ -86,9 +93,12 @@ def _parameters(draft: ConfigDraft) -> Iterator[str]:
         yield _parameter(candidate)
     more = len(draft.parameters) - MOST_LISTED_VARIABLES
     if more > 0:
-        yield f"# and {more} more, which the FMU's description names"
+        yield f"# and {more} more parameters, which the FMU's description lists"
     if draft.states:
-        yield "# Initial states, where they are not known: one for each experiment."
+        yield (
+            "# Initial states: remove the # before states that are not known; each experiment gets "
+            "its own value."
+        )
     for state in draft.states[:MOST_LISTED_VARIABLES]:
         value = inline({"start": state.start or 0.0, "per": "experiment"})
         yield f"# {dotted(state.name)} = {value}{said(state)}"
@@ -136,7 +146,7 @@ def experiments(
         yield f"id = {inline(run.id)}"
         yield f"data = {inline(relative(run.columns.path, folder))}"
         if run.role == "test":
-            yield 'role = "test"  # held out: reported, never fitted'
+            yield 'role = "test"  # held out: its errors are reported, but it is never fitted'
         if run.test is not None and run.test[1]:
             yield f"split_value = {inline(run.test[1])}"
         yield from run.lines
@@ -175,7 +185,7 @@ def _body(
     used = {c.name for m in matches for c in (m.column, m.similar) if c is not None}
     unused = [c for c in columns.signals if c.name not in used]
     if unused:
-        yield f"# columns without a variable of the FMU: {', '.join(c.name for c in unused)}"
+        yield f"# columns that match no variable of the FMU: {', '.join(c.name for c in unused)}"
         yield from _open_outputs(run)
         yield from _open_conversions(run, unused)
         yield from _signals(unused, description)
@@ -202,7 +212,7 @@ def _reading(run: DraftExperiment) -> Iterator[str]:
 def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> Iterator[str]:
     """Yield columns that nothing uses as signals."""
     taken = {*description.variables, "t", "s"}
-    yield "# Uncomment what may matter, such as a temperature: effects may depend on such signals."
+    yield "# Uncomment signals that may matter, such as a temperature: effects may depend on them."
     for column in unused[:MOST_PROPOSED_SIGNALS]:
         name = re.sub(r"\W+", "_", column.plain).strip("_") or "signal"
         name = f"signal_{name}" if name[0].isdigit() else name
@@ -221,16 +231,19 @@ def _time(run: DraftExperiment) -> Iterator[str]:
     if time is not None:
         yield f"time = {inline(time.name)}"
         return
-    why = "no column is called time"
+    why = "no column is named time"
     for name in run.columns.unusable:
         if fold(split_unit(name)[0]) in TIME_COLUMN_NAMES:
             why = (
-                f"column {name!r} has no numbers; remove a row of units, or convert dates to "
+                f"column {name!r} has no numbers; remove the row of units, or convert dates to "
                 "seconds"
             )
     yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
     for name in run.columns.increasing[:3]:
-        yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
+        yield (
+            f"# time = {inline(name)}  # use this instead if it is the time: it increases from row "
+            "to row"
+        )
 
 
 def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) -> Iterator[str]:
@@ -257,12 +270,12 @@ def _held(column: TableColumn, name: str) -> str:
 
 def _why_held(column: TableColumn) -> str:
     """Say why each sample of an input is kept, where it is."""
-    return 'it jumps; a fit says so if the data prefer "linear"' if column.jumps else ""
+    return 'it jumps; a fit reports if the data prefer "linear"' if column.jumps else ""
 
 
 def _why_taken(match: ColumnMatch) -> str:
     """Say why a column of another name is taken."""
-    return "the only column in such a unit" if match.by_unit else ""
+    return "the only column whose unit matches" if match.by_unit else ""
 
 
 def _outputs(run: DraftExperiment) -> Iterator[str]:
@@ -274,7 +287,8 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
             yield f"{key} = {inline(match.column.name)}{said(variable, _why_taken(match))}"
         elif certain and match.similar is not None:
             value = inline(match.similar.name)
-            yield f"# {key} = {value}{said(variable, 'only similar: uncomment if it is')}"
+            why_similar = "a similar name; uncomment the line if it is the right column"
+            yield f"# {key} = {value}{said(variable, why_similar)}"
         elif not certain and (match.similar is not None or match is run.outputs[0]):
             value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
             why = (_unusable(run, variable.name), _choices(run.columns.signals))
@@ -282,7 +296,8 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
     for match in run.further:
         if match.column is not None:
             key = dotted("outputs", match.variable.name)
-            yield f"{key} = {inline(match.column.name)}{said(match.variable, 'no output')}"
+            undeclared = said(match.variable, "not declared as an output")
+            yield f"{key} = {inline(match.column.name)}{undeclared}"
     if not certain and not run.outputs:
         yield "# The FMU has no output: give the name of a variable that it computes."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
@@ -344,7 +359,8 @@ def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
             continue
         line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
         why = "standard deviation of its noise, a guess"
-        yield f"{line}  # {why}; outputs weigh by it" if several else f"# {line}  # {why}"
+        weighs = f"{line}  # {why}; it determines the weight of the output"
+        yield weighs if several else f"# {line}  # {why}"
 
 
 def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
@@ -357,7 +373,9 @@ def _conversions(run: DraftExperiment) -> Iterator[str]:
     """Yield lines for columns whose unit is not that of their variable."""
     time = run.columns.time
     if time is not None and time.unit == DAYS_OR_SECONDS:
-        value = inline({"factor": f"{FILL_IN}: 86400 if it counts days, as Excel does, else 1"})
+        value = inline(
+            {"factor": f"{FILL_IN}: 86400 if it counts days, as Excel does, otherwise 1"}
+        )
         yield f"{dotted('columns', time.name)} = {value}"
     elif run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
@@ -372,7 +390,9 @@ def _conversion(column: TableColumn, wanted: str, why: str) -> Iterator[str]:
         return
     found = conversion(column.unit, wanted)
     if found is None:
-        yield f"# {column.name} is in {column.unit} but {why}; if they differ, say how:"
+        yield (
+            f"# {column.name} is in {column.unit}, but {why}; if they differ, give the conversion:"
+        )
         example = inline({"factor": 1.0})
         yield f"# {dotted('columns', column.name)} = {example}"
         return

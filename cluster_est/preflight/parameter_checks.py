@@ -44,7 +44,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     if not unknowns:
         return []
     if not subject.repeats:
-        said = "not tested: simulations differ even with the same parameters"
+        said = "not tested, because simulations differ even with the same parameters"
         return [not_done("parameters", said)]
     points = np.array([_moved(subject, column, CHANGE) for column, _ in unknowns])
     probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 2.0, 0.1))
@@ -67,9 +67,9 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     alive = {name: size for name, size in sizes.items() if size >= ROUNDING_OF_OUTPUTS}
     if alive:
         least, most = min(alive, key=alive.__getitem__), max(alive, key=alive.__getitem__)
-        said = f"{len(alive)} of {len(names)} affect the outputs: for a change of 1 % of its size, "
-        said += f"{most} changes them by {alive[most]:.2g} of their size"
-        said += f", {least} by {alive[least]:.2g}" if least != most else ""
+        said = f"{len(alive)} of {len(names)} parameters affect the outputs: a change of {most} by "
+        said += f"1 % of its size changes them by {alive[most]:.2g} of their size"
+        said += f", and of {least} by {alive[least]:.2g}" if least != most else ""
         lines.append(passed("parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0])
     if len(found) < len(names):
@@ -116,7 +116,7 @@ def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
 
 
 def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
-    said = "is dead: the outputs do not depend on it at the start"
+    said = "has no effect: the outputs do not depend on it at the start values"
     if subject.declared:
         do = "fixed = true, or remove it, or measure an output that it affects"
         return [
@@ -126,11 +126,14 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
         return []
     given = {each.variable for each in subject.problem.experiments[subject.experiment].inputs}
     open_ = [v.name for v in subject.description.inputs() if v.name not in given]
-    do = "they may have an effect with data for the inputs, as in a config"
+    do = "they may have an effect if the inputs have data, as in a config"
     if not open_:
-        do = "the default experiment of the FMU does not determine them"
+        do = (
+            "try another experiment, because the FMU's default experiment does not show their "
+            "effect"
+        )
     said = f"the outputs do not depend on {listed(names)} at the start values"
-    said += f", with nothing at the inputs {listed(open_)}" if open_ else ""
+    said += f", while the inputs {listed(open_)} have no data" if open_ else ""
     return [note("dead parameters", said, do)]
 
 
@@ -146,24 +149,28 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     if len(silent) > 1:
         while_ = f"while inputs {listed(silent)} have no data"
     said = f"the outputs do not depend on {listed(names)} {while_}"
-    do = f'{dotted("inputs", silent[0])} = "COLUMN" in the experiments, then check again'
+    do = f'give {dotted("inputs", silent[0])} = "COLUMN" in the experiments, then check again'
     return [fault("parameters", said, do)]
 
 
 def _faint(name: str, size: float) -> CheckFinding:
     if size == UNKNOWN_EFFECT:
-        said = "has no effect in one experiment, and there was no time to try the others"
+        said = "has no effect in one experiment, and there was no time to try the other experiments"
         return not_done(f"parameter {name}", said, "give it more time with --seconds")
     said = (
-        f"has hardly any effect: a change of 1 % of its size changes the outputs by {size:.2g} "
-        "of their size"
+        "has hardly any effect: if it changes by 1 % of its size, the outputs change by "
+        f"{size:.2g} of their size"
     )
-    return note(f"parameter {name}", said, f"another {dotted('parameters', name)}.start, or fix it")
+    return note(
+        f"parameter {name}",
+        said,
+        f"try another {dotted('parameters', name)}.start, or fix the parameter",
+    )
 
 
 def _failed(name: str, said: str) -> CheckFinding:
-    do = f"another {dotted('parameters', name)}.start or narrower bounds"
-    return note(f"parameter {name}", f"changed by 1 % of its size: {said}", do)
+    do = f"try another {dotted('parameters', name)}.start or narrower bounds"
+    return note(f"parameter {name}", f"after a change by 1 % of its size, {said}", do)
 
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
@@ -183,13 +190,17 @@ def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     least = min(good, default=TRIED_DIFFERENCE_STEPS[0])
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, TRIED_DIFFERENCE_STEPS[-1]):
-        said = f"slopes are reliable down to relative steps of {least:.0e}; a fit uses {usual:.0e}"
+        said = (
+            "derivatives by finite differences are reliable down to relative steps of "
+            f"{least:.0e}; a fit uses {usual:.0e}"
+        )
         return [passed("differences", said)]
     said = (
-        f"slopes by {subject.space.unknowns[column].label} are reliable down to relative steps of "
+        f"derivatives with respect to {subject.space.unknowns[column].label} are reliable only "
+        "down to relative steps of "
     )
-    do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
-    return [note("differences", f"{said}{least:.0e} only", do)]
+    do = f"set method.options.relative_step = {10.0 * least:.0e}, or a smaller model.rtol"
+    return [note("differences", f"{said}{least:.0e}", do)]
 
 
 def bounds(subject: CheckSubject) -> list[CheckFinding]:
@@ -209,17 +220,17 @@ def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
     key = dotted("parameters", parameter.name)
     lines = []
     if not parameter.expression and not low <= parameter.start <= high:
-        said = f"starts at {parameter.start:g} but {allowed}"
-        lines.append(fault(where, said, f"another {key}.start"))
+        said = f"starts at {parameter.start:g}, but {allowed}"
+        lines.append(fault(where, said, f"choose another {key}.start"))
     if not parameter.fixed and (
         (math.isfinite(parameter.lower) and parameter.lower < low)
         or (math.isfinite(parameter.upper) and parameter.upper > high)
     ):
-        said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
-        lines.append(note(where, said, f"{key}.bounds within those"))
+        said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}], but {allowed}"
+        lines.append(note(where, said, f"choose {key}.bounds within that range"))
     if parameter.unit and variable.unit and parameter.unit != variable.unit:
-        said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
-        do = f"check {key}.start and bounds, which are in the FMU's unit"
+        said = f"is given in {parameter.unit}, but the FMU uses {variable.unit}"
+        do = f"check {key}.start and {key}.bounds, which are in the FMU's unit"
         lines.append(note(where, said, do))
     return lines
 
@@ -241,15 +252,15 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
     lines = [
         note(
             "bounds",
-            f"with all parameters at their {name} bounds: {each}",
-            "narrower bounds; a search steps back from such points, but they take time",
+            f"with all parameters at their {name} bounds, {each}",
+            "narrow the bounds; a search steps back from such points, but each of them costs time",
         )
         for (name, _), each in zip(named, found, strict=False)
         if isinstance(each, str)
     ]
     tried = [name for name, _ in named[: len(found)]]
     if tried and not lines:
-        said = f"it can be simulated with all parameters at their {' and '.join(tried)} bounds"
+        said = f"the FMU can be simulated with all parameters at their {' and '.join(tried)} bounds"
         lines.append(passed("bounds", said))
     left = [name for name, _ in named[len(found) :]]
     if left:

@@ -74,9 +74,9 @@ def repeatable(
             return [unanswered("repeatable", other)], "reset", None
         again = other.first
     if again.tobytes() != found.first.tobytes():
-        how = f"two fresh {FRESH} differ"
+        how = f"two simulations in fresh {FRESH} differ"
         return [_not_repeatable(subject, again, found.first, how)], None, None
-    same = passed("repeatable", f"two fresh {FRESH} give the same bits")
+    same = passed("repeatable", f"two simulations in fresh {FRESH} are identical bit for bit")
     lines = [same, _reset(subject, found, crash)]
     if found.reset == 0.0:
         return lines + _leftovers(subject), "reset", (begun, found.first)
@@ -91,14 +91,14 @@ def later(subject: CheckSubject, earlier: EarlierSimulation) -> list[CheckFindin
     begun, first = earlier
     wait = max(begun + reset_policy.LATER_SECONDS - time.monotonic(), 0.0)
     if wait > subject.budget.left:
-        said = "not repeated a second later: there was no time left"
-        return [not_done("later", said, "more time with --seconds")]
+        said = "not repeated a second later, because there was no time left"
+        return [not_done("later", said, "give it more time with --seconds")]
     time.sleep(wait)
     found = subject.ask(RepeatProbe(subject.experiment, subject.start, ()), 1)
     if isinstance(found, NoAnswer):
         return [unanswered("later", found)]
     if found.first.tobytes() == first.tobytes():
-        said = "a simulation a second later gives the same bits"
+        said = "a simulation a second later is identical bit for bit"
         return [passed("later", said)]
     how = "a simulation a second later differs"
     return [_not_repeatable(subject, first, found.first, how)]
@@ -113,8 +113,8 @@ def _not_repeatable(
     sizes = [f"{name} (by {far[name]:.2g} of its size)" for name in differing]
     said = f"no: {how} in {listed(sizes)}"
     do = (
-        "export it without a random generator or clock; else choose a method.name that takes "
-        'no differences, such as "pattern_search"'
+        "export the FMU without a random generator or clock; otherwise, choose a method.name that "
+        'uses no differences, such as "pattern_search"'
     )
     if len(differing) < len(names):
         they = "it counts" if len(differing) == 1 else "they count"
@@ -127,18 +127,22 @@ def _not_repeatable(
 
 def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckFinding:
     if found.reset == 0.0:
-        return passed("reset", "a reset instance gives the same bits as a fresh one")
+        return passed(
+            "reset",
+            "a simulation after a reset is identical to one in a fresh instance, bit for bit",
+        )
     how = f"a simulation after a reset fails{f': {crash}' if crash else ''}"
     if found.reset is not None:
         how = (
-            f"a reset instance is {found.reset:.2g} of the outputs' size different from a fresh one"
+            f"a simulation after a reset differs from one in a fresh instance by {found.reset:.2g} "
+            "of the outputs' size"
         )
     if found.instance == 0.0:
         do = 'model.reset = "auto" handles this, with a new instance for each simulation'
         return _reset_advice(subject, "instance", how, do)
     do = 'model.reset = "auto" handles this, with a new process for each simulation'
     if subject.in_process:
-        do = 'executor.name = "processes", for a new process for each simulation'
+        do = 'set executor.name = "processes", so that each simulation can have a new process'
         return fault("reset", how, do)
     return _reset_advice(subject, "process", how, do)
 
@@ -163,8 +167,8 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
             "values",
             "values that were set survive a reset; this is harmless if each simulation sets them "
             "again, as in a fit",
-            "if experiments differ in the keys of their values, give all the same keys, or set "
-            'model.reset = "instance"',
+            "if the experiments give values for different variables, give all experiments values "
+            'for the same variables, or set model.reset = "instance"',
         )
     ]
 
@@ -176,12 +180,12 @@ def stop_time(subject: CheckSubject) -> CheckFinding:
         return unanswered("stop time", found)
     without, told = found
     if without:
-        said = "it starts without one" + ("" if told else ", and not with one")
+        said = "the FMU starts without a stop time" + ("" if told else ", but not with one")
         return passed("stop time", said)
-    said = "it can only be initialised with a stop time, which is passed to it"
+    said = "the FMU can only be initialised with a stop time, so the stop time is passed to it"
     if subject.problem.model.stop_time:
         return passed("stop time", said)
-    said += " after a first initialisation that fails"
+    said += " after a first initialisation without it, which fails"
     do = "set model.stop_time = true in a config to avoid this failure"
     return note("stop time", said, do)
 
@@ -191,7 +195,7 @@ def instances(subject: CheckSubject) -> CheckFinding:
     most = InstanceProbe().max_count
     allowed = most if subject.instances is None else min(most, subject.instances)
     if allowed == 1:
-        said = "not tried: executor.instances = 1 allows one at once"
+        said = "not tested, because executor.instances = 1 allows only one at a time"
         return passed("instances", said)
     found = subject.ask(InstanceProbe(allowed), 0, 3.0)
     if isinstance(found, NoAnswer):
@@ -200,30 +204,30 @@ def instances(subject: CheckSubject) -> CheckFinding:
     count, _ = found
     if count > 1 and not declared:
         return _side_by_side(subject, count)
-    says = "and says so" if declared else "and does not say so"
+    says = "as the FMU declares" if declared else "although the FMU does not declare this limit"
     if count > 1:
-        says = "as it says, though more could be made"
-    return _one_only(subject, f"one in a process, {says}")
+        says = "as the FMU declares, although more could be created"
+    return _one_only(subject, f"one instance per process, {says}")
 
 
 def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
     """Return whether several instances are right if they are simulated at the same time."""
-    can_be = f"{count} at once in a process"
+    can_be = f"{count} instances at the same time in one process"
     found = subject.ask(two_simulations(subject.problem, subject.experiment), 4)
     if found is True:
-        return _one_only(subject, f"{can_be}, but two of them {DISTURBED}")
+        return _one_only(subject, f"{can_be}, but they {DISTURBED}")
     if isinstance(found, NoAnswer) and found.late:
-        said = f"{can_be}; whether they disturb each other was not tried: {found.message}"
-        return not_done("instances", said, "more time with --seconds")
+        said = f"{can_be}; there was no answer to whether they disturb each other: {found.message}"
+        return not_done("instances", said, "give it more time with --seconds")
     if isinstance(found, NoAnswer) and found.crashed:
-        return _one_only(subject, f"{can_be}, but with two of them {found.message}")
+        return _one_only(subject, f"{can_be}, but with two of them, {found.message}")
     if found is False:
-        can_be += ", and two of them do not disturb each other"
+        can_be += ", which do not disturb each other"
     return passed("instances", can_be)
 
 
 def _one_only(subject: CheckSubject, said: str) -> CheckFinding:
-    do = 'for several workers: executor.name = "processes" or "ray"'
+    do = 'for several workers, set executor.name = "processes" or "ray"'
     several = subject.in_process and (subject.workers or 1) > 1
     verdict = CheckVerdict.PROBLEM if several else CheckVerdict.NOTE
     return CheckFinding(verdict, "instances", said, do)
@@ -293,9 +297,9 @@ def refused_parameters(names: Sequence[str]) -> CheckFinding:
     """Return a line for parameters that cannot be set."""
     return note(
         "parameters",
-        f"{listed(names)}: the FMU refuses a value, although its modelDescription.xml lists a "
-        "parameter that can be set; the check went on without it",
-        "do not estimate it, or ask the exporter of the FMU",
+        f"{listed(names)}: cannot be set in the FMU, although its modelDescription.xml says that "
+        "this is possible; the check continued with the FMU's own values",
+        "remove from the config what cannot be set, or ask the exporter of the FMU",
     )
 
 

@@ -58,12 +58,12 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
         return []
     part = found.carrying / (found.plain * unknowns)
     said = (
-        f"one simulation with the derivatives with respect to all parameters takes {part:.2g} of "
-        f"the time of the {unknowns} that forward differences take"
+        "one simulation that also computes the derivatives with respect to all parameters takes "
+        f"{part:.2g} of the time of the {unknowns} simulations that forward differences need"
     )
     if part > CHEAPER:
         return [passed("sensitivities", said)]
-    do = 'method.options.differences = "sensitivities", for least_squares and sqp'
+    do = 'for least_squares and sqp, set method.options.differences = "sensitivities"'
     return [passed("sensitivities", said, do)]
 
 
@@ -85,7 +85,7 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         subject.problem.model.interface == "co_simulation"
         and not subject.description.variable_steps
     ):
-        said = "its communication step is fixed, so it cannot be halved for a comparison"
+        said = "the communication step is fixed, so it cannot be halved for a comparison"
         return [not_done("accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
@@ -104,23 +104,26 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
     lines = []
     if moving:
         name, far = max(moving, key=_far)
-        said = f"with {how} {name} changes by {far:.2g} of its size, and no output by more"
+        said = f"with {how}, {name} changes most, by {far:.2g} of its size"
         share, noisy = _against_noise(subject, moving)
         said += noisy
         bad = far > BAD_RELATIVE_CHANGE or share > NOISE_BAD
         verdict = CheckVerdict.PROBLEM if bad else CheckVerdict.NOTE
         fine = passed("accuracy", said)
-        do = key if far < COUNTING else f"{key}; nothing, if it counts steps or calls"
+        do = f"set {key}"
+        if far >= COUNTING:
+            do += "; if the output counts steps or calls, do nothing"
         good = far < GOOD_RELATIVE_CHANGE and share < NOISE_GOOD
         lines.append(fine if good else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
     if not far < GOOD_RELATIVE_CHANGE:
         said = (
-            f"with {how} {name}, which is not a continuous output, changes by {far:.2g} of its size"
+            f"with {how}, {name}, which is not a continuous output, changes by {far:.2g} of its "
+            "size"
         )
-        do = f"nothing if it counts steps or calls; otherwise {key}"
+        do = f"if the output counts steps or calls, do nothing; otherwise, set {key}"
         lines.append(note("accuracy", said, do))
-    return lines or [passed("accuracy", f"with {how} no output changes")]
+    return lines or [passed("accuracy", f"with {how}, no output changes")]
 
 
 def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> tuple[float, str]:
@@ -139,7 +142,7 @@ def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> tu
     share, name = max(shares, default=(0.0, ""))
     if not share > 0.0:
         return 0.0, ""
-    small = "" if share < NOISE_GOOD else ", which is not small against the noise"
+    small = "" if share < NOISE_GOOD else ", which is not small compared with the noise"
     return share, f"; that is {share:.2g} of {dotted('sigma', name)}{small}"
 
 
@@ -156,7 +159,7 @@ def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
     tight = max(rtol / RTOL_TIGHTENING, LEAST_RTOL)
     atol = None if solver.atol is None else solver.atol * tight / rtol
-    how = f"model.rtol = {tight:.1g} in place of {rtol:.1g}"
+    how = f"model.rtol = {tight:.1g} instead of {rtol:.1g}"
     return replace(solver, rtol=tight, atol=atol), how, f"model.rtol = {tight:.1g}"
 
 
@@ -180,8 +183,8 @@ def stiffness(subject: CheckSubject) -> list[CheckFinding]:
     if isinstance(found, NoAnswer):
         return [unanswered("stiffness", found)]
     if found:
-        said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
-        return [note("stiffness", said, 'model.solver = "cvode"')]
+        said = f"the model is stiff: the stability limit shortens the steps of {model.solver.name}"
+        return [note("stiffness", said, 'set model.solver = "cvode"')]
     return [passed("stiffness", f"not stiff; {model.solver.name} is suitable")]
 
 
@@ -196,12 +199,15 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     found = subject.ask(DirectionalProbe(subject.experiment, subject.start), 1)
     if isinstance(found, NoAnswer):
         return [unanswered(check, found)]
-    do = "do not use them in a fit; export it again without them, or report this to its exporter"
+    do = (
+        "do not use directional derivatives in a fit; export the FMU again without them, or report "
+        "this to the exporter"
+    )
     if found.zero:
         said = "directional derivatives are declared, but all of them are 0"
         return [note(check, said, do)]
     if not found.error <= MAX_JACOBIAN_ERROR:  # NaN is no agreement
-        said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
-        return [note(check, f"{said} of the largest", do)]
-    said = f"directional derivatives agree with differences within {found.error:.1g}"
+        said = f"directional derivatives differ from finite differences by {found.error:.2g}"
+        return [note(check, f"{said} of the largest derivative", do)]
+    said = f"directional derivatives agree with finite differences within {found.error:.1g}"
     return [passed(check, said), *sensitivities(subject)]

@@ -252,8 +252,8 @@ def _experiment(description: ModelDescription) -> Experiment:
     numbers = numbers or _moving(description)
     if not numbers:
         raise ModelError(
-            f"{description.file}: must have an output, a state or another number that changes, "
-            "so that it can be compared, but has none; name what is measured in a config"
+            f"{description.file}: must have an output, a state or another number that changes, so "
+            "that simulations can be compared, but has none; name what is measured in a config"
         )
     start = description.default_start or 0.0
     stop = description.default_stop

@@ -127,8 +127,8 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         raise DataError(next(iter(refused.values())))
     if not columns:
         raise DataError(
-            f"init: {path} must have columns of numbers but has none{_why_none(others)}; check "
-            "the separator of its columns, and that its first row has their names"
+            f"init: {path} must have columns of numbers, but has none{_why_none(others)}; check "
+            "the separator between columns, and that the first row has the names of the columns"
         )
     rising = [] if found is not None else [c.name for c in columns if c.increases]
     return TableColumns(
@@ -155,8 +155,9 @@ def _notes_on_times(found: FoundTime) -> Iterator[str]:
         first, last = gaps[0]
         more = f" (and {len(gaps) - 1} more gaps)" if len(gaps) > 1 else ""
         yield (
-            f"no rows between {first:.10g} and {last:.10g} of {found.column.name!r}{more}; gaps = "
-            '"split" or "bridge" in the experiment says how to treat the part after it'
+            f"no rows between {first:.10g} and {last:.10g} of {found.column.name!r}{more}; set "
+            'gaps = "split" or "bridge" in the experiment to choose how the part after the gap is '
+            "treated"
         )
 
 

@@ -68,10 +68,10 @@ def unit_findings(
         if change is None or change == UnitConversion(1.0) or same_unit(unit, wanted):
             continue
         shown = f"'{column}'" if split_unit(column)[1] == unit else f"'{column}' in {unit}"
-        line = f"column {shown} is given to {variable}, which is in {wanted}, without a conversion"
-        do = f"{dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
+        line = f"column {shown} is used for {variable}, which is in {wanted}, without a conversion"
+        do = f"set {dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
         do += (
-            f"offset = {change.offset:.12g} }}; if only the unit in the name is wrong, set just "
+            f"offset = {change.offset:.12g} }}; if only the unit in the name is wrong, set only "
             "factor = 1"
         )
         lines.append(fault("units", line, do))
@@ -150,22 +150,26 @@ def _output_line(
     change = found.change
     if change.offset:
         said = (
-            f"the measured values are around {np.mean(measured):.3g}, the simulated ones around "
-            f"{np.mean(simulated):.3g}: as {found.unit} and {found.wanted} differ"
+            f"the measured values are around {np.mean(measured):.3g}, but the simulated values are "
+            f"around {np.mean(simulated):.3g}, and {found.unit} and {found.wanted} differ by as "
+            "much"
         )
     else:
         ratio = _size(measured) / _size(simulated)
         said = (
-            f"the measured values are {ratio:.3g} times as large as the simulated ones; 1 "
+            f"the measured values are {ratio:.3g} times as large as the simulated values, and 1 "
             f"{found.wanted} is {1.0 / change.factor:.4g} {found.unit}"
         )
-    said += f": the column seems to be in {found.unit}"
+    said += f"; so the column seems to be in {found.unit}"
     return note(f"unit of {name}", said, _column(change))
 
 
 def _column(change: UnitConversion) -> str:
     offset = f", offset = {change.offset:.12g}" if change.offset else ""
-    return f"columns.COLUMN = {{ factor = {change.factor:.12g}{offset} }}, for the column's name"
+    return (
+        f"write columns.COLUMN = {{ factor = {change.factor:.12g}{offset} }}, with the name of the "
+        "column"
+    )
 
 
 def _readings(subject: CheckSubject, name: str) -> list[_Reading]:
@@ -259,9 +263,9 @@ def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     best = int(np.argmin(errors)) if errors else 0
     if errors and errors[best] < min(MISFIT_CONVERTED, REMAINING_MISFIT * as_is):
         chosen = variants[best]
-        far = f", in place of {as_is:.2g}" if np.isfinite(as_is) else ""
-        said = f"{chosen.said}: the error at the start values is then {errors[best]:.2g} of what "
-        said += f"the outputs move by{far}"
+        far = f", instead of {as_is:.2g}" if np.isfinite(as_is) else ""
+        said = f"{chosen.said}; if so, the error at the start values is {errors[best]:.2g} of "
+        said += f"the outputs' spread{far}"
         return [note(chosen.check, said, chosen.do)]
     before = None if seen is None else SimulatedVariant(seen.times, seen.values)
     return _jumpy(subject, before, list(zip(variants, found, strict=False)))
@@ -291,9 +295,9 @@ def _jumpy(
             found = _steps(variant.experiment, table, variables)
             if as_is > 2.0 * wanted and wanted / ALIKE < found < wanted * ALIKE:
                 said = (
-                    f"{variant.said}, where the FMU's own experiment takes {stop - start:.4g} "
-                    "seconds: only then does the simulation change from sample to sample as the "
-                    "data do"
+                    f"{variant.said}, and the FMU's own experiment lasts {stop - start:.4g} s; "
+                    "only with times in that unit does the simulation change from sample to sample "
+                    "as the data do"
                 )
                 return [note(variant.check, said, variant.do)]
     return []
@@ -321,7 +325,7 @@ def _input_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_
             yield _Variant(
                 _with_input(experiment, read),
                 1.0,
-                f"the column seems to be in {reading.unit}, and the FMU counts in {reading.wanted}",
+                f"the column seems to be in {reading.unit}, but the FMU uses {reading.wanted}",
                 _column(reading.change),
                 f"unit of {given.variable}",
             )
@@ -340,7 +344,8 @@ def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_V
         yield _Variant(
             _stretched(experiment, factor),
             factor,
-            f"the time seems to be in {unit}, and is read as {long:.4g} seconds",
+            f"the times seem to be in {unit}, but are read as seconds, so the experiment lasts "
+            f"{long:.4g} s",
             _rescaled_time(table, factor),
             "time",
         )
@@ -349,12 +354,12 @@ def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_V
 def _rescaled_time(table: TableSource | None, factor: float) -> str:
     """Return the key that says in which unit the times of a table are."""
     if table is not None and table.time:
-        return f"{dotted('columns', table.time)} = {{ factor = {factor:g} }}"
+        return f"write {dotted('columns', table.time)} = {{ factor = {factor:g} }}"
     if table is not None and table.sample_time:
-        return f"sample_time = {table.sample_time * factor:g}"
+        return f"write sample_time = {table.sample_time * factor:g}"
     return (
-        f"columns.COLUMN = {{ factor = {factor:g} }}, for the name of the time's column; or "
-        f"{factor:g} times the sample_time"
+        f"write columns.COLUMN = {{ factor = {factor:g} }}, with the name of the time column, or "
+        f"multiply sample_time by {factor:g}"
     )
 
 

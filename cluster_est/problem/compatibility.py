@@ -54,13 +54,13 @@ def check_observed_outputs(problem: Problem) -> None:
             where = f"experiment {experiment.id!r}: output {output.variable}"
             if not isinstance(problem.cost, SumSquared):
                 raise ProblemError(
-                    f"{where}: must be used with the cost sse if it has {NOT_PLAIN}, but the cost "
-                    f"is {problem.cost.name}; change one of the two"
+                    f'{where}: has {NOT_PLAIN}, so cost.name must be "sse", but it is '
+                    f'"{problem.cost.name}"; change one of the two'
                 )
             if output.detection_limit is not None and not output.has_sigma:
                 raise ProblemError(
-                    f"{where}: must have a sigma with a detection_limit but has none; add it, "
-                    "because the probability of a value below the limit depends on the noise"
+                    f"{where}: must have a sigma if it has a detection_limit, but has none; add "
+                    "sigma, because the probability of a value below the limit depends on the noise"
                 )
             if output.ordinal and experiment.role == "train":
                 _check_categories(output, where)
@@ -76,8 +76,8 @@ def refuse_ordinal_outputs(space: SearchSpace, key: str, why: str) -> None:
     """
     if space.has_ordinal_values:
         raise ProblemError(
-            f"{key}: must be used with outputs whose noise is known, but an output is ordinal, so "
-            f"only the order of its values is known; {why}"
+            f"{key}: needs outputs whose noise is known, but an output is ordinal, so only the "
+            f"order of its values is known; {why}"
         )
 
 
@@ -109,13 +109,14 @@ def check_priors(problem: Problem) -> None:
         return
     if not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            f'{dotted("parameters", name)}.prior: must be used with the cost "sse", in which it '
-            f"counts like a measurement, but cost.name is {problem.cost.name!r}; change one of "
-            "the two"
+            f'{dotted("parameters", name)}.prior: needs the cost "sse", in which a prior counts '
+            f"like a measurement, but cost.name is {problem.cost.name!r}; change one of the two"
         )
     refuse_distances(problem, f"{dotted('parameters', name)}.prior")
     need_sigmas(
-        problem, f"the prior of parameter {name} is weighed against it by its standard deviation"
+        problem,
+        f"the prior of parameter {name} is weighed against the measurements by their "
+        "standard deviation",
     )
 
 
@@ -142,8 +143,8 @@ def refuse_distances(problem: Problem, where: str) -> None:
         ):
             if there:
                 raise ProblemError(
-                    f"{where}: must be used with outputs measured over time, each with its sigma, "
-                    f"but experiment {experiment.id!r} has {key}; remove one of the two"
+                    f"{where}: needs outputs that are measured over time and have a sigma, but "
+                    f"experiment {experiment.id!r} has {key}; remove one of the two"
                 )
 
 
@@ -168,9 +169,9 @@ def need_sigmas(problem: Problem, why: str) -> None:
         for output in experiment.outputs:
             if len(output.times) and not output.has_sigma:
                 raise ProblemError(
-                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is "
-                    f"missing; {why}; give every output its own (for a sigma of 1, write "
-                    "1.000001, because 1 means that none is given)"
+                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is missing, "
+                    f"but {why}; give every output its own sigma (for a sigma of 1, write "
+                    "1.000001, because 1 means that no sigma is given)"
                 )
 
 

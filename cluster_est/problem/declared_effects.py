@@ -124,7 +124,9 @@ def make_effect(declared: DeclaredEffect) -> MadeEffect:
     where = f"effect {name!r}"
     if bool(declared.form) == bool(declared.equation):
         has = "both" if declared.form else "neither"
-        raise ConfigError(f"{where}: must have either form or equation but has {has}")
+        raise ConfigError(
+            f"{where}: must have exactly one of form and equation, but has {has}; give one of them"
+        )
     if not name:
         raise ConfigError("effects: an effect with an equation must have a name; add name")
     given = declared.coefficients
@@ -186,14 +188,13 @@ def _start(
     start = chosen.start if chosen.start is not None else coefficient.neutral
     if start is None or not math.isfinite(start):
         raise ConfigError(
-            f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
-            f"{declared.form or 'an own equation'} has no default start"
+            f"{where}: parameters.{coefficient.name}.start is missing; add it, because "
+            f"{coefficient.name} of {declared.form or 'your own equation'} has no default start"
         )
     if singular and start == 0.0 and not (chosen.fixed and coefficient.neutral == 0.0):
         raise ConfigError(
-            f"{where}: parameters.{coefficient.name}.start: must not be 0, because "
-            f"{declared.form} divides by {coefficient.name}, but is 0; give a value of the "
-            "expected size"
+            f"{where}: parameters.{coefficient.name}.start: must not be 0, because {declared.form} "
+            f"divides by {coefficient.name}, but is 0; give a value of the expected size"
         )
     return start
 

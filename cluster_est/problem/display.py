@@ -60,8 +60,8 @@ def as_frame(table: pa.Table) -> pd.DataFrame:
         return table.to_pandas()
     except ImportError:
         raise ProblemError(
-            "to_frame: needs pandas, which is not installed; pip install pandas, or use table(), "
-            "which returns an Arrow table"
+            "to_frame: needs pandas, which is not installed; run pip install pandas, or use "
+            "table(), which returns an Arrow table"
         ) from None
 
 
@@ -98,7 +98,7 @@ def _text(value: str | float) -> str:
 
 
 NO_ALTERNATIVE = (
-    "if the rest of the model were exact, there would be very strong evidence against all other "
+    "if the rest of the model were exact, this would be very strong evidence against all other "
     "candidates"
 )
 """What is said of an effect without alternatives; a criterion takes models for exact."""

@@ -47,8 +47,9 @@ class DistributionPrior(Prior):
         edge = not math.isfinite(peak) or self._spread <= 0.0 or any(e >= peak for e in ends)
         if edge or not 0.5 < self._bend(0.1) / self._bend(1.0) < 2.0:
             raise ProblemError(
-                f"prior: must have a density with one smooth mode inside but {self.said()} has "
-                "none; for a uniform distribution, give bounds alone: bounds=(0.1, 10.0)"
+                "prior: must have a density with one smooth mode that is not at an end of its "
+                f"range, but {self.said()} has no such mode; for a uniform distribution, give only "
+                "bounds, as in bounds=(0.1, 10.0)"
             )
 
     def _log(self, value: float) -> float:
@@ -115,8 +116,8 @@ class DistributionPrior(Prior):
         low, high = (float(end) for end in self.distribution.support())
         if not low <= lower < upper <= high:
             raise ProblemError(
-                f"{where}.bounds: must lie where the prior {self.said()} has a density, from "
-                f"{low:g} to {high:g}, but are [{lower:g}, {upper:g}]; narrow them"
+                f"{where}.bounds: must lie where the prior {self.said()} has a density, which is "
+                f"from {low:g} to {high:g}, but are [{lower:g}, {upper:g}]; narrow them"
             )
 
 
@@ -135,7 +136,7 @@ def as_prior(given: Any, where: str) -> Any:
     if isinstance(given, Prior) or kind is None or not hasattr(given, "support"):
         return given
     if not hasattr(given.dist, "logpdf"):
-        raise ProblemError(f"{where}: must be a continuous distribution but is {shown(given)}")
+        raise ProblemError(f"{where}: must be a continuous distribution, but is {shown(given)}")
     loc, scale = (float(each) for each in (given.ppf(0.5), given.std()))
     if kind == "norm":
         return NormalPrior(loc, scale)

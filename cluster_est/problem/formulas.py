@@ -72,14 +72,14 @@ class Formula:
             raise ProblemError(str(error)) from None
         if not isinstance(parsed, sp.Expr):
             raise ProblemError(
-                f"{self.where}: must be a number for any values of the parameters but "
+                f"{self.where}: must be a number for all values of the parameters, but "
                 f"{self.text!r} is true or false; remove the comparison"
             )
         if parsed.has(sp.zoo, sp.nan, sp.oo, -sp.oo, sp.I) or any(
             not abs(number) < LARGEST_FORMULA_NUMBER for number in parsed.atoms(sp.Number)
         ):
             raise ProblemError(
-                f"{self.where}: must have a finite value but {self.text!r} has none; correct its "
+                f"{self.where}: must have a finite value, but {self.text!r} has none; correct its "
                 "numbers, divisions, roots and logarithms"
             )
         names = tuple(name for name, symbol in symbols.items() if symbol in parsed.free_symbols)
@@ -131,7 +131,7 @@ class ParameterConstraint:
     def __post_init__(self) -> None:
         check_name(self.name, "constraint.name", ProblemError)
         where = f"constraint {self.name!r}"
-        advice = "; make constraints of a text with parse_constraint(text, parameters, where)"
+        advice = "; make constraints from a text with parse_constraint(text, parameters, where)"
         check_kind(self.formula, Formula, f"{where}.formula", ProblemError, advice)
         check_flag(self.equality, f"{where}.equality", ProblemError)
         check_number(self.scale, f"{where}.scale", ProblemError, above=0.0)
@@ -150,7 +150,7 @@ def parse_constraint(
     parts, signs = _sides(text)
     if not 2 <= len(parts) <= 3 or not all(part.strip() for part in parts):
         raise ProblemError(
-            f"{where}: must be two formulas with <=, >= or = between them but is {text!r}"
+            f"{where}: must be two formulas with <=, >= or = between them, but is {text!r}"
         )
     found = []
     for i, sign in enumerate(signs):
@@ -161,7 +161,10 @@ def parse_constraint(
             Formula(side, tuple(known), where)  # what is wrong is said in the user's own words
         formula = Formula(f"({low}) - ({high})", tuple(known), where)
         if not formula.names:
-            raise ProblemError(f"{where}: must name a parameter but {text!r} names none")
+            raise ProblemError(
+                f"{where}: must name a parameter, but {text!r} names none; use the "
+                "names under [parameters]"
+            )
         called = name or text.strip()
         if len(signs) > 1:
             called += f" ({'lower' if (i == 0) is not falling else 'upper'})"

@@ -123,23 +123,25 @@ class ValueTable:
         low, high = self.shape.bounds
         if not all(a < b for a, b in pairwise(self.points)):
             raise ConfigError(
-                f"{self.where}.points: must increase but do not; sort them with their values"
+                f"{self.where}.points: must increase, but do not; sort them together with their "
+                "values"
             )
         if not low < high:
             raise ConfigError(
-                f"{self.where}.bounds: must be [lower, upper] but are {[low, high]}; swap them"
+                f"{self.where}.bounds: must be [lower, upper] with lower below upper, but are "
+                f"{[low, high]}; swap them"
             )
         for start in self.starts:
             if not low <= start <= high:
                 raise ConfigError(
-                    f"{self.where}.start: must lie within the bounds {[low, high]} but has "
-                    f"{start:g}; move one of the two"
+                    f"{self.where}.start: must lie within the bounds {[low, high]}, but has "
+                    f"{start:g}; change one of the two"
                 )
         smooth = self.shape.slope_change is not None
         if smooth and not (math.isfinite(low) and math.isfinite(high)):
             raise ConfigError(
                 f"{self.where}.bounds: must be finite with slope_change, but are {[low, high]}; "
-                "give the range of its values"
+                "give the range of the values"
             )
 
     def unknowns(self) -> Iterator[TableUnknown]:
@@ -236,8 +238,8 @@ def check_table_name(name: str, where: str, made: str) -> None:
     """
     if not all(part.isidentifier() and not keyword.iskeyword(part) for part in name.split(".")):
         raise ConfigError(
-            f"{where}: must have a name of letters, digits and _, because its values are called "
-            f"{made}, but is {name!r}; rename it"
+            f"{where}: must have a name of letters, digits and _, because the names of its values "
+            f"are {made}, but is {name!r}; rename it"
         )
 
 
@@ -279,16 +281,16 @@ class ShapedCurve:
         if not self.form.values:
             key = next(key for key in vars(UNSHAPED) if self._says(key))
             raise ConfigError(
-                f"{where}.{key}: must be used with a free curve, which is a form like table, "
-                f"coulomb_table or characteristic, but the form is {self.form.name!r}; leave it "
+                f"{where}.{key}: is only for a form that is a free curve, such as table, "
+                f"coulomb_table or characteristic, but the form is {self.form.name!r}; leave {key} "
                 "out"
             )
         check_table_name(self.name, where, "NAME.k1, NAME.k2, ...")
         if self.form.is_characteristic and self.shape.monotone == "decreasing":
             raise ConfigError(
                 f'{where}.monotone: must be "increasing", because outside its range a '
-                "characteristic is the signal itself, but is 'decreasing'; use an increasing "
-                "one, and an effect gain that changes the sign"
+                'characteristic is the signal itself, but is "decreasing"; use "increasing" and an '
+                "effect gain that changes the sign"
             )
         if self.shape.slope_change is not None:
             self._check_free_of_keys(where)
@@ -323,8 +325,8 @@ class ShapedCurve:
         low, high = (self._starts[name] for name in CURVE_END_COEFFICIENTS)
         if not low < high:
             raise ConfigError(
-                f"effects.{self.name}.parameters.low.start: must be below the start of high, "
-                f"{high:g}, but is {low:g}; change one"
+                f"effects.{self.name}.parameters.low.start: must be below the start of high, which "
+                f"is {high:g}, but is {low:g}; change one of them"
             )
         names = self.form.curve_values
         return ValueTable(
@@ -389,7 +391,7 @@ def checked_shape(
     pair = tuple(bounds) if isinstance(bounds, Sequence) else ()
     if len(pair) != 2 or not all(is_number(bound) for bound in pair):
         raise EffectError(
-            f"effect.bounds: must be two numbers (lower, upper) but is {shown(bounds)}"
+            f"effect.bounds: must be two numbers (lower, upper), but is {shown(bounds)}"
         )
     return TableShape(slope_change, monotone, (float(pair[0]), float(pair[1])))
 

@@ -186,13 +186,13 @@ def _parts(
     parts = [part_of(experiment, *edge, states) for edge in edges]
     kept = [part for part in parts if part is not None]
     if not kept:
-        few = "nothing was measured outside of it"
+        few = "nothing was measured outside the gap"
         return [experiment], said + [_said(experiment, gap, "bridged", few) for gap in moving]
     for k, gap in enumerate(moving):
         if states.refusal:
             said.append(_said(experiment, gap, "left out", states.refusal))
         elif parts[k + 1] is None:
-            few = "too few values were measured after it"
+            few = "too few values were measured after the gap"
             said.append(_said(experiment, gap, "left out", few))
         else:
             said.append(_said(experiment, gap, "split"))

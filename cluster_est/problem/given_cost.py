@@ -43,7 +43,7 @@ class FunctionCost(Cost):
             return float(found)
         except (TypeError, ValueError):
             raise ProblemError(
-                f"problem.cost: must return one number for an array of residuals but returned "
+                "problem.cost: must return one number for an array of residuals, but returned "
                 f"{shown(found)}"
             ) from None
 

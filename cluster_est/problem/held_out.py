@@ -49,8 +49,8 @@ def hold_out(
     _check_windows(windows, where)
     if experiment.role != "train":
         raise DataError(
-            f'{where}: must belong to a training experiment but its role is "test", so all of it '
-            "is held out already; remove one of the two"
+            f"{where}: must belong to a training experiment, but the role of this experiment is "
+            '"test", so all of it is held out already; remove one of the two'
         )
     inside = [within(output.times, windows) for output in experiment.outputs]
     train = replace(experiment, outputs=_kept(experiment.outputs, [~each for each in inside]))
@@ -64,11 +64,11 @@ def hold_out(
         bounds=(),
         constraint_functions=(),
     )
-    for part, lacks in ((train, "outside of them"), (test, "within them")):
+    for part, lacks in ((train, "outside the windows"), (test, "within the windows")):
         if not any(len(output.times) for output in part.outputs):
             raise DataError(
-                f"{where}: must leave at least one measured value {lacks} but there is none from "
-                f"{experiment.start:g} to {experiment.stop:g} s; change the windows"
+                f"{where}: must leave at least one measured value {lacks}, but there is none "
+                f"between {experiment.start:g} and {experiment.stop:g} s; change the windows"
             )
     return _no_longer_than_measured(train), test
 

@@ -80,25 +80,25 @@ class Parameter:
         self._check_kinds(where)
         if not self.lower < self.upper:
             raise ProblemError(
-                f"{where}.bounds: the lower bound must be below the upper one but they are "
-                f"[{self.lower:g}, {self.upper:g}]; to keep a value use fixed = true"
+                f"{where}.bounds: the lower bound must be below the upper bound, but they are "
+                f"[{self.lower:g}, {self.upper:g}]; to keep the value constant, use fixed = true"
             )
         if self.expression:
             self._check_derived(where)
         elif not self.lower <= self.start <= self.upper:
             raise ProblemError(
-                f"{where}.start: must lie in its bounds [{self.lower:g}, {self.upper:g}] but is "
-                f"{self.start:g}; move the start or widen the bounds"
+                f"{where}.start: must lie within the bounds [{self.lower:g}, {self.upper:g}], but "
+                f"is {self.start:g}; move the start or widen the bounds"
             )
         if self.scale == "log" and (self.start <= 0.0 or self.upper <= 0.0):
             raise ProblemError(
-                f"{where}.scale: a log scale needs a positive start and bounds but the start is "
-                f'{self.start:g}; use scale = "linear" or positive values'
+                f"{where}.scale: a log scale needs a positive start and upper bound, but they are "
+                f'{self.start:g} and {self.upper:g}; use scale = "linear" or positive values'
             )
         per = str(self.per)
         if self.per is not None and not re.fullmatch("experiment|gap|group(:.+)?", per):
             raise ProblemError(
-                f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
+                f'{where}.per: must be "experiment" or "group:KEY", but is {self.per!r}'
             )
 
         if self.prior is not None:
@@ -129,7 +129,7 @@ class Parameter:
         given: Any = self.bounds
         if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
             raise ProblemError(
-                f"{where}.bounds: must be (lower, upper) but is {shown(given)}; write "
+                f"{where}.bounds: must be (lower, upper), but is {shown(given)}; write "
                 "bounds=(0.1, 10.0)"
             )
         for key, bound in zip(("lower", "upper"), given, strict=True):
@@ -144,8 +144,8 @@ class Parameter:
         for key, used in (("fixed", self.fixed), ("per", self.per), ("scale", self.scale == "log")):
             if used:
                 raise ProblemError(
-                    f"{where}.{key}: must be left out if there is an expression, which determines "
-                    "the value; remove one of the two"
+                    f"{where}.{key}: must be left out if there is an expression, because the "
+                    "expression gives the value; remove one of the two"
                 )
 
     @property

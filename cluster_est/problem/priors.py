@@ -64,8 +64,8 @@ class Prior(ABC):
         del start  # a prior may ask more of it
         if not lower <= self.centre <= upper:
             raise ProblemError(
-                f"{where}.prior: must have its centre within the bounds [{lower:g}, {upper:g}] but "
-                f"is {self.said()}; move one of the two"
+                f"{where}.prior: must have its centre within the bounds [{lower:g}, {upper:g}], "
+                f"but is {self.said()}; change one of the two"
             )
 
 
@@ -168,12 +168,12 @@ class LogNormalPrior(Prior):
         super().check(where, start, lower, upper)
         if not start > 0.0:
             raise ProblemError(
-                f"{where}.start: must be above 0 with a log-normal prior, under which 0 is "
-                f"impossible, but is {start:g}; start from the median {self.median:g}"
+                f"{where}.start: must be above 0 with a log-normal prior, which gives 0 no "
+                f"probability, but is {start:g}; start at the median {self.median:g}"
             )
         if not lower >= 0.0:
             raise ProblemError(
-                f"{where}.bounds: must not be below 0 with a log-normal prior but begin at "
+                f"{where}.bounds: must not be below 0 with a log-normal prior, but begin at "
                 f"{lower:g}; raise the lower bound"
             )
 

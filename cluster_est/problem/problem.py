@@ -98,20 +98,22 @@ class Problem:
         if targets != [*self.model.parameters, *names]:
             raise ProblemError(
                 "parameters: must be the parameters of the model, then the coefficients of the "
-                f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}"
+                f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}; "
+                "reorder them"
             )
         self.derived  # noqa: B018 - what is wrong is said at once
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
-                'experiments: at least one must have role = "train" but none has; parameters '
-                "are estimated from those"
+                'experiments: at least one must have role = "train", because parameters are '
+                "estimated from those, but none has; change a role"
             )
         for experiment in self.experiments:
             asked = experiment.constraint_names or experiment.cost_function is not None
             if experiment.size == 0 and not asked and not self.constraints:
                 raise ProblemError(
                     f"experiment {experiment.id!r}: must have at least one measured value between "
-                    f"{experiment.start:g} and {experiment.stop:g} s but has none"
+                    f"{experiment.start:g} and {experiment.stop:g} s, but has none; check start, "
+                    "stop and windows"
                 )
 
     def _check_kinds(self) -> None:
@@ -119,7 +121,7 @@ class Problem:
         advice = "; make one with read_model(path)"
         check_kind(self.model, Model, "problem.model", ProblemError, advice)
         object.__setattr__(self, "cost", as_cost(self.cost))
-        advice = '; give one, its name such as "huber", or a function of residuals'
+        advice = '; give a cost, the name of one such as "huber", or a function of residuals'
         check_kind(self.cost, Cost, "problem.cost", ProblemError, advice)
         check_options(self.cost, "cost.options", ProblemError)
         for key, kind in _PROBLEM_LISTS.items():
@@ -147,9 +149,9 @@ class Problem:
             if not ready:
                 first = names[next(iter(waiting))]
                 raise ProblemError(
-                    f"{dotted('parameters', first)}.expression: must not depend on itself but "
-                    "does, through "
-                    f"{', '.join(names[i] for i in waiting)}; give one of them a start instead"
+                    f"{dotted('parameters', first)}.expression: must not depend on itself, but "
+                    f"does, through {', '.join(names[i] for i in waiting)}; give one of them a "
+                    "start instead"
                 )
             found += [(i, waiting.pop(i)) for i in ready]
         return tuple(found)
@@ -259,7 +261,7 @@ class Problem:
         ProblemError
             If there is no parameter of that name, or a start lies outside of its bounds.
         """
-        advice = '; write {"k": 25.0}'
+        advice = '; write a table of names and values such as {"k": 25.0}'
         check_kind(values, Mapping, "with_values", ProblemError, advice)
         return self._changed({name: {"start": value} for name, value in values.items()})
 

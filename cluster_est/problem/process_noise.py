@@ -18,8 +18,8 @@ NEAR_LOWER_BOUND = 1e-6
 """Distance of a strength from its lower bound, over the range of both, that is negligible."""
 FILTERED = (
     "process noise ({names}): errors, curves and residuals come from predictions from each "
-    "measured time to the next, by an extended Kalman filter, and not from a simulation of the "
-    "whole record"
+    "measured time to the next, which an extended Kalman filter makes, and not from one simulation "
+    "of the whole record"
 )
 
 
@@ -71,10 +71,11 @@ def vanished_noise(
                 upper - lower if np.isfinite(upper) else 1.0
             ):
                 found.append(
-                    f"{label} ended at its lower end, {values[label]:.3g}: the data are as likely "
-                    "without this noise as with a little of it, and the intervals of all other "
-                    "values are right only without it; compute a profile of it "
-                    "(uncertainty.profiles) or use more data"
+                    f"{label} ended at its lower bound, {values[label]:.3g}: the data are "
+                    "explained as well without this process noise as with a little of it. The "
+                    "intervals of all other values are correct only if there is no such noise; "
+                    f"compute a likelihood profile of {label} (uncertainty.profiles), or use more "
+                    "data"
                 )
     return tuple(found)
 
@@ -118,23 +119,23 @@ def check_process_noise(problem: Problem) -> None:
     if model.interface != "model_exchange":
         raise ProblemError(
             f"{where} needs the states and their derivatives, so model.interface must be "
-            f"model_exchange but is {model.interface}; change it, or leave the effect out"
+            f"model_exchange, but is {model.interface}; change it, or leave the effect out"
         )
     if model.solver.name == "cvode":
         raise ProblemError(
             f"{where} corrects the states at every measured time, so model.solver must be "
-            "dormand_prince or rk4 but is cvode; change it, or leave the effect out"
+            "dormand_prince or rk4, but is cvode; change it, or leave the effect out"
         )
     if not isinstance(problem.cost, SumSquared):
         raise ProblemError(
             f'{where} needs cost.name = "sse", with which residuals are those of the likelihood, '
-            f"but it is {problem.cost.name!r}; change one of the two"
+            f"but cost.name is {problem.cost.name!r}; change one of the two"
         )
     acting = [(effect.site, effect.form) for effect in problem.effects if effect.is_noise]
     if len(set(acting)) < len(acting):
         raise ProblemError(
-            f"{where} must be used once at a site in each form, because only the sum of two could "
-            "be determined, but is used twice; remove one"
+            f"{where} may occur only once at a site in each form, because only the sum of two "
+            "could be estimated, but occurs twice; remove one"
         )
     for experiment in problem.experiments:
         _check_experiment(experiment, where)
@@ -148,7 +149,7 @@ def _check_experiment(experiment: Experiment, where: str) -> None:
     for what in found:
         raise ProblemError(
             f"{where} is weighed against the noise of each measured value, but experiment "
-            f"{experiment.id!r} has {what}; change it, or leave the effect out"
+            f"{experiment.id!r} has {what}; change that, or leave the effect out"
         )
 
 

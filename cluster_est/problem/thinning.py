@@ -85,8 +85,8 @@ class ThinningSettings(Settings):
     rows: Literal["auto", "no"] | Positive = Field(
         "auto",
         description="number of rows of each output that close-loop keeps while it looks for "
-        f"effects; auto: about {MOST_ROWS} or less of more than "
-        f"{LONG * MOST_ROWS:.0f}; no: all",
+        f"effects; auto: records of more than {LONG * MOST_ROWS:.0f} rows are thinned "
+        f"to about {MOST_ROWS} or fewer; no: all rows are kept",
     )
 
     def most(self, *, auto: bool = True) -> int | None:
@@ -553,11 +553,11 @@ def _sentence(before: Problem, after: Problem) -> str:
         return ""
     old, new = (_range([pair[i] for pair in pairs]) for i in (0, 1))
     return (
-        f"long records are thinned to {new} rows of {old}: values of a parabola in each block, "
-        "and denser rows where the outputs move fast"
+        f"long records are thinned from {old} to {new} rows: a parabola is fitted in each block of "
+        "rows, and the rows are denser where the outputs change fast"
     )
 
 
 def _range(counts: Sequence[int]) -> str:
     low, high = min(counts), max(counts)
-    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
+    return f"{low:,}" if low == high else f"{low:,}-{high:,}"

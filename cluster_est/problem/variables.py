@@ -25,7 +25,7 @@ def refuse_repeated(what: str, names: Sequence[str]) -> None:
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise ProblemError(
-            f"{what} {repeated[0]!r}: must appear once but appears twice; rename or remove one"
+            f"{what} {repeated[0]!r}: must appear once, but appears twice; rename or remove one"
         )
 
 
@@ -48,8 +48,9 @@ def check_interface(model: Model, description: ModelDescription) -> None:
     if model.interface not in offered:
         unusable = [w for w in description.warnings if w.endswith("and is left out")]
         raise ModelError(
-            f"model.interface: {description.file} must offer {model.interface} but offers "
-            f"{' and '.join(offered)}{''.join(f' ({w})' for w in unusable)}; choose that"
+            f"model.interface: {description.file} must offer {model.interface}, but offers only "
+            f"{' and '.join(offered)}{''.join(f' ({w})' for w in unusable)}; set model.interface "
+            "to an interface that it offers"
         )
 
 
@@ -74,21 +75,22 @@ def check_experiment(
         if variable.causality == "structuralParameter" and value != chosen:
             raise ProblemError(
                 f"{where}.values: {variable.name!r} is the size of arrays, so it must be the same "
-                "in all experiments but is not; give it under values of the whole problem"
+                "in all experiments, but is not; give it in [values], which holds for all "
+                "experiments"
             )
     _check_inputs(experiment, description, where)
     for name in experiment.recorded:
         variable = description.variable(name, f"{where}.outputs")
         if variable.kind not in ("real", "integer", "boolean"):
             raise ProblemError(
-                f"{where}.outputs: {name!r} must be a number of {description.file} but is of "
-                f"type {variable.kind}; choose another variable"
+                f"{where}.outputs: {name!r} must be a numeric variable of {description.file}, but "
+                f"is of type {variable.kind}; choose another variable"
             )
         if variable.causality in ("parameter", "input", "independent"):
             raise ProblemError(
                 f"{where}.{dotted('outputs', name)}: must be a variable that {description.file} "
-                f"computes but is of causality {variable.causality!r}; choose an output or a local "
-                "variable"
+                f"computes, but its causality is {variable.causality!r}; choose an output or a "
+                "local variable"
             )
     _check_roles(experiment, description, parameters)
     _check_set_once(experiment, description, parameters)
@@ -113,7 +115,7 @@ def _check_set_once(
         variable = description.variables.get(name)
         for own in (o for o in (variable.aliases if variable is not None else ()) if o in seen):
             raise ProblemError(
-                f"{place}: {name!r} must be a different variable but is another name of {own!r}, "
+                f"{place}: {name!r} must be a different variable, but is another name of {own!r}, "
                 f"which {seen[own]} gives; remove one of the two"
             )
         seen[name] = place
@@ -126,13 +128,13 @@ def _check_inputs(experiment: Experiment, description: ModelDescription, where: 
         if variable.causality != "input":
             inputs = [v.name for v in description.inputs()]
             raise ProblemError(
-                f"{where}.inputs: {given.variable!r} must be an input of {description.file} "
-                f"but is of causality {variable.causality!r}{nearest(given.variable, inputs)}"
+                f"{where}.inputs: {given.variable!r} must be an input of {description.file}, but "
+                f"its causality is {variable.causality!r}{nearest(given.variable, inputs)}"
             )
         if variable.alias_of is not None:  # given under both names, which one would count?
             raise ProblemError(
-                f"{where}.inputs: {given.variable!r} must be an input's own name but is "
-                f"another name of {variable.alias_of!r}; use that"
+                f"{where}.inputs: {given.variable!r} must be the input's own name, but is another "
+                f"name of {variable.alias_of!r}; use {variable.alias_of!r}"
             )
 
 
@@ -154,8 +156,8 @@ def check_effects(
             for name in definition.uses:
                 if name in every and name not in names:
                     raise ProblemError(
-                        f"experiment {experiment.id!r}.signals: must have {name!r}, on which "
-                        f"effect {definition.effect.name!r} depends, but does "
+                        f"experiment {experiment.id!r}.signals: must have {name!r}, because effect "
+                        f"{definition.effect.name!r} depends on it, but does "
                         f"not{nearest(name, names)}"
                     )
 
@@ -176,9 +178,9 @@ def with_units(
             variables[name] = replace(variables[name], unit=unit)
         elif name not in signals:
             raise ProblemError(
-                f"{dotted('model', 'units', name)}: {description.file} has no variable and no "
-                "experiment a "
-                f"signal of that name{nearest(name, [*variables, *signals])}"
+                f"{dotted('model', 'units', name)}: {description.file} has no variable of that "
+                "name, and no experiment has a signal of that "
+                f"name{nearest(name, [*variables, *signals])}"
             )
     return replace(description, variables=variables) if units else description
 
@@ -190,13 +192,13 @@ def check_signals(experiment: Experiment, description: ModelDescription) -> None
         name = given.variable
         if name in description.variables:
             raise ProblemError(
-                f"{where}.{name}: must not be the name of a variable of {description.file} but "
-                "is; choose another, or put it under inputs if it is an input of the model"
+                f"{where}.{name}: must not be the name of a variable of {description.file}, but "
+                "is; choose another name, or move it to inputs if it is an input of the model"
             )
         if name in ("t", "s"):
             raise ProblemError(
-                f"{where}.{name}: must not be named t or s, which are the time and the signal at "
-                "an effect's site; choose another name"
+                f"{where}.{name}: must not be named t or s, because in an effect t is the time and "
+                "s is the signal at its site; choose another name"
             )
     refuse_repeated(where, [given.variable for given in experiment.signals])
 
@@ -206,13 +208,13 @@ def _check_start(description: ModelDescription, name: str, where: str, *, real: 
     if not variable.settable:
         raise ProblemError(
             f"{where}: {name!r} must be a variable whose start value can be set, but "
-            f"{description.file} computes it ({variable.causality}); choose a parameter or an "
-            "initial state"
+            f"{description.file} computes it (its causality is {variable.causality}); choose a "
+            "parameter or an initial state"
         )
     if real and variable.kind != "real":
         raise ProblemError(
-            f"{where}: {name!r} must be a real variable to be estimated but is of type "
-            f"{variable.kind}; give it as a known value instead"
+            f"{where}: {name!r} must be a real variable to be estimated, but is of type "
+            f"{variable.kind}; give it as a known value in [values] instead"
         )
 
 
@@ -226,15 +228,15 @@ def _check_roles(
     for given in experiment.inputs:
         if given.variable in targets:
             raise ProblemError(
-                f"{where}.{dotted('inputs', given.variable)}: must not be estimated too but is "
-                f"{dotted('parameters', targets[given.variable])}; remove one of the two"
+                f"{where}.{dotted('inputs', given.variable)}: must not also be estimated, but "
+                f"{dotted('parameters', targets[given.variable])} estimates it; remove one of the "
+                "two"
             )
     for name, value in experiment.values:
         if name in driven:
             raise ProblemError(
-                f"{where}.{dotted('values', name)}: must not be an input of the same experiment "
-                "but is; "
-                "remove one of the two"
+                f"{where}.{dotted('values', name)}: must not also be an input of the same "
+                "experiment, but is; remove one of the two"
             )
         check_value(f"{where}.{dotted('values', name)}", description.variables[name], value)
 
@@ -263,7 +265,7 @@ def _whole_numbers(type_: str) -> tuple[float, float, str]:
     bits = int(re.sub(r"\D", "", type_) or 64)
     most = min(bits, 53)  # beyond that, not every one is a float64
     if type_.startswith("U"):
-        return 0.0, 2.0**most - 1, f"a whole number of {bits} bits that is not negative"
+        return 0.0, 2.0**most - 1, f"a whole number of {bits} bits, which is not negative"
     return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"
 
 
@@ -312,6 +314,6 @@ def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, 
     one = len(names) == 1
     return (
         f"input{'' if one else 's'} {', '.join(named)}{more} {'has' if one else 'have'} no data "
-        f"and {'keeps its start value' if one else 'keep their start values'}; "
-        f"{driven_or_constant(names[0])}",
+        f"and {'keeps its start value' if one else 'keep their start values'}; to change that, "
+        f"write {driven_or_constant(names[0])}",
     )

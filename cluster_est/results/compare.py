@@ -120,21 +120,22 @@ def compare(results: Mapping[str, ResultView] | ResultView, *others: ResultView)
     if not isinstance(results, Mapping):
         results = {str(i): each for i, each in enumerate((results, *others), start=1)}
     elif others:
-        raise ProblemError("compare: give a dict of results or results one by one, not both")
+        raise ProblemError("compare: give either one dict of results or several results, not both")
     for name, each in results.items():
         check_kind(each, ResultView, f"compare: {name}", ProblemError, "; fit first")
     if len(results) < 2:
-        raise ProblemError(
-            f"compare: must be given at least two results but is given {len(results)}"
-        )
+        raise ProblemError(f"compare: needs at least two results but is given {len(results)}")
     found = {name: each.criteria for name, each in results.items()}
     missing = {name: each.why_not for name, each in found.items() if each.why_not}
     if not missing and len({each.data for each in found.values()}) > 1:
         raise ProblemError(
-            "compare: must be given fits to the same measured values but their training "
-            "experiments differ; fit all models to the same data"
+            "compare: the fits must have the same measured values, but their training experiments "
+            "differ; fit all models to the same data"
         )
-    notes = [f"no criteria, because of {name}: {reason}" for name, reason in missing.items()]
+    notes = [
+        f"AIC and BIC are not compared, because of {name}: {reason}"
+        for name, reason in missing.items()
+    ]
     aic = np.array([math.nan if missing else each.aic for each in found.values()])
     bic = np.array([math.nan if missing else each.bic for each in found.values()])
     weights = np.exp(-0.5 * (aic - aic.min()))
@@ -145,7 +146,7 @@ def compare(results: Mapping[str, ResultView] | ResultView, *others: ResultView)
         error = {k: _number(v) for k, v in (facts.get("rmse_over_sigma") or {}).items()}
         if (facts.get("residuals") or {}).get("too_narrow"):
             notes.append(
-                f"{name}: its residuals are not white noise: AIC and BIC overestimate the "
+                f"{name}: the residuals are not white noise, so AIC and BIC overestimate the "
                 "information in the data"
             )
         rows.append(

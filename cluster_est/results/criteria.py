@@ -69,7 +69,7 @@ class InformationCriteria:
     def from_facts(cls, facts: Mapping[str, Any] | None) -> Self:
         """Return those of run.json, where null stands for NaN."""
         if not facts:
-            return cls(why_not="the run was made before they were computed")
+            return cls(why_not="this run was made by a version that did not compute them")
         known = {each.name for each in fields(cls)}
         named: dict[str, Any] = {key: value for key, value in facts.items() if key in known}
         named = {key: math.nan if value is None else value for key, value in named.items()}
@@ -115,7 +115,7 @@ def information_criteria(
         groups = [residuals] if alike else [residuals[names == n] for n in dict.fromkeys(names)]
         deviance, noise = levels + sum(map(_estimated_noise, groups)), len(groups)
     if not math.isfinite(deviance):
-        return InformationCriteria(why_not="the residuals are 0: there is no noise to compare with")
+        return InformationCriteria(why_not="the residuals are 0, so there is no noise to estimate")
     data = _hash_of(problem)
     return InformationCriteria.of(-0.5 * deviance, count, unknowns + noise, data)
 
@@ -131,18 +131,23 @@ def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
     given = [output.has_sigma for output in outputs]
     sums = isinstance(problem.cost, SumSquared)
     reasons = {
-        f"the cost {problem.cost.name!r} is not a likelihood of normal noise": not (
+        f"the cost {problem.cost.name!r} is not a likelihood of normally distributed noise": not (
             sums or isinstance(problem.cost, GaussianLikelihood)
         ),
-        "curves, cost functions and constraints are not measured values": not problem.plain,
-        "priors count in addition to the measured values": any(p.prior for p in problem.parameters),
-        "process noise has another likelihood, the likelihood of innovations": bool(
+        (
+            "curves, cost functions and constraints do not compare measured values with simulated "
+            "ones"
+        ): not problem.plain,
+        ("priors add to the information in the measured values"): any(
+            p.prior for p in problem.parameters
+        ),
+        "a model with process noise has a different likelihood, that of its innovations": bool(
             noise_names(problem)
         ),
-        "an output has a free scale or offset, a detection limit or ordinal values": any(
+        "an output has a free scale, a free offset, a detection limit or ordinal values": any(
             not output.is_plain for output in outputs
         ),
-        "sigma is given only for some outputs": sums and any(given) and not all(given),
+        "only some outputs have a sigma": sums and any(given) and not all(given),
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
 

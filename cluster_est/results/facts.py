@@ -63,7 +63,8 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
             where = "above" if residual > 0.0 else "below"
             said.append(
                 f"{each.label} = {each.value:.4g} lies {abs(residual):.2g} standard deviations "
-                f"{where} its prior ({prior.said()}): the measurements contradict the prior"
+                f"{where} the centre of its prior ({prior.said()}): the measurements contradict "
+                "the prior"
             )
     return tuple(said)
 
@@ -171,7 +172,7 @@ def fit_doubts(result: Result) -> tuple[str, ...]:
         worst = max(narrow, key=_over_noise)
         of = "sigma" if worst.declared else "its noise"
         doubts.append(
-            f"its intervals are too narrow; the error of {worst.output} is "
+            f"its intervals are too narrow, because the error of {worst.output} is "
             f"{_over_noise(worst):.2g} times {of}"
         )
     held_out, training = result.rmse("test"), result.rmse("train")
@@ -182,7 +183,7 @@ def fit_doubts(result: Result) -> tuple[str, ...]:
     if result.record_faults:
         doubts.append("a record looks wrong")
     if result.problem.data_findings:
-        doubts.append("its data have numbers that are probably not measurements")
+        doubts.append("its data contain numbers that are probably not measurements")
     return tuple(doubts)
 
 
@@ -201,5 +202,5 @@ def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
     which = "this value" if len(labels) == 1 else "these values"
     return (
         f"{named}: fitted to the held-out data, because no training experiment has {which}; the "
-        "errors there are the errors of a prediction from the right start",
+        "held-out errors are therefore not pure predictions",
     )

@@ -55,8 +55,8 @@ class GuardedSteps:
         except Exception as error:
             LOG.error("%s could not be computed", what, exc_info=True)
             self.failed.append(
-                f"{what} could not be computed because of an error in cluster-est; the estimates "
-                f"are not affected; please report it ({type(error).__name__}: {error})"
+                f"{what} could not be computed because of a fault in cluster-est; the estimates "
+                f"are not affected; please report this error ({type(error).__name__}: {error})"
             )
         return instead
 

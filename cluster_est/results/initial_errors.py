@@ -60,8 +60,8 @@ class InitialError:
         several = "experiments begin" if self.count > 1 else "experiment begins"
         where = f"{self.found} of {self.count} {several}"
         return (
-            f"{where} in another state than the model: at the first sample {self.output} is off "
-            f"by up to {size}, {self.over_noise:.3g} times its noise"
+            f"{where} in a different state from the model: at the first sample, {self.output} is "
+            f"off by up to {size}, {self.over_noise:.3g} times its noise"
         )
 
 
@@ -109,7 +109,7 @@ def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[
     found = initial_errors(problem, simulations, fitted=True)
     if not found:
         return ()
-    return (f"{found[0].sentence}, and less later: {free_start_advice(problem)}",)
+    return (f"{found[0].sentence}, but later errors are smaller: {free_start_advice(problem)}",)
 
 
 def free_start_advice(problem: Problem) -> str:
@@ -128,10 +128,14 @@ def free_start_advice(problem: Problem) -> str:
         'per = "experiment" }'
         for name, start in zip(named, starts, strict=True)
     )
-    more = f" and the other {len(states) - len(named)} states" if len(states) > len(named) else ""
+    more = (
+        f" and the same for the other {len(states) - len(named)} states"
+        if len(states) > len(named)
+        else ""
+    )
     first = named[0]
     return (
-        f"estimate the initial states, {keys}{more}; or give the measured ones, "
+        f"estimate the initial states, {keys}{more}; or give their measured values, "
         f"{dotted('values', first)} = NUMBER"
     )
 

@@ -94,13 +94,13 @@ class PreferredInterpolation:
     def sentence(self) -> str:
         """What the measurements say, and what to set."""
         held = self.preferred == "hold"
-        how = "to be held between its samples" if held else "to be interpolated by straight lines"
+        how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
         return (
-            f"the measurements prefer input {self.variable} {how}: the sum of squares falls by "
-            f"{100.0 * self.fall:.2g} %, most of it in experiment {self.experiment}{after} "
-            f"({self.share:.2f} +- {self.error:.2g} of the difference, where the fit has 0 and "
-            f"the other 1); set {self.key} and fit again"
+            f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
+            f"{100.0 * self.fall:.2g} %, most of it in experiment {self.experiment}{after} (the "
+            f"best mixture has {self.share:.2f} +- {self.error:.2g}, where 0 is the interpolation "
+            f"of this fit and 1 the other one); set {self.key} and fit again"
         )
 
 

@@ -117,16 +117,19 @@ def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tu
         turned = [each.experiment for each in own if each.scale < 0.0]
         low, high = float(values.min()), float(values.max())
         size = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-        notes.append(f"{name} is compared up to scale or offset: scale {size} (scales.parquet)")
+        notes.append(
+            f"{name} is compared up to a free scale or offset; the fitted scale is {size} "
+            "(scales.parquet)"
+        )
         if turned:
             notes.append(
-                f"the best scale of {name} is negative in {', '.join(turned[:3])}: the signal is "
-                "inverted; check the sign of the column"
+                f"the best scale of {name} is negative in {', '.join(turned[:3])}, so the signal "
+                "is inverted; check the sign of the column"
             )
     for name, (hidden, count) in _hidden(problem).items():
         notes.append(
             f"{hidden} of {count} values of {name} are at or below its detection limit and count "
-            "as not detected; residuals are not tested for missing effects"
+            "as not detected; the residuals are therefore not tested for missing effects"
         )
     return (*notes, *_order_notes(problem, simulations))
 
@@ -167,8 +170,8 @@ def _order_notes(problem: Problem, simulations: Sequence[Simulation]) -> list[st
             ordered[output.variable, experiment.role] = before[0] + right, before[1] + pairs
     roles = {"train": "training", "test": "held-out"}
     return [
-        f"{name} is compared only by the order of its values: of the pairs of {roles[role]} "
-        f"values that differ, {right / pairs:.3%} are simulated in their order "
+        f"only the order of the values of {name} is compared: of the pairs of different "
+        f"{roles[role]} values, {right / pairs:.3%} are simulated in the right order "
         "(categories.parquet)"
         for (name, role), (right, pairs) in ordered.items()
         if pairs

@@ -213,8 +213,8 @@ def worse_than_constants(errors: Sequence[OutputError]) -> list[str]:
             known = worst.setdefault(each.output, each)
             worst[each.output] = max(known, each, key=lambda e: e.relative_after)
     return [
-        f"a constant would fit {name} better than the fitted model: its error in "
-        f"{each.experiment} is {each.relative_after:.3g} times the measured standard deviation; "
-        "check columns and units"
+        f"a constant would fit {name} better than the fitted model: the error in {each.experiment} "
+        f"is {each.relative_after:.3g} times the standard deviation of the measured signal; check "
+        "columns and units"
         for name, each in worst.items()
     ]

@@ -41,7 +41,7 @@ def new_axes(ax: Axes | None) -> Axes:
         from matplotlib import pyplot
     except ImportError:
         raise ProblemError(
-            "plot: needs matplotlib, which is not installed; pip install 'cluster-est[plot]'"
+            "plot: needs matplotlib, which is not installed; run pip install 'cluster-est[plot]'"
         ) from None
     made: Axes = pyplot.subplots(layout="constrained")[1]
     return made
@@ -93,9 +93,9 @@ def plot_profile(view: ResultView, label: str, ax: Axes | None) -> Axes:
     labels = list(dict.fromkeys(row["label"] for row in rows))
     if label not in labels:
         asked = f"{nearest(label, labels)}" if labels else (
-            f'; request it: fit(..., uncertainty={{"profiles": ["{label}"]}})'
+            f'; request it with fit(..., uncertainty={{"profiles": ["{label}"]}})'
         )  # fmt: skip
-        raise ProblemError(f"plot_profile: there is no profile of {label!r}{asked}")
+        raise ProblemError(f"plot_profile: this result has no profile of {label!r}{asked}")
     ax = new_axes(ax)
     own = [row for row in rows if row["label"] == row["unknown"] == label]
     ax.plot([row["value"] for row in own], [row["root"] for row in own], marker=".", **AFTER_STYLE)
@@ -106,8 +106,8 @@ def plot_profile(view: ResultView, label: str, ax: Axes | None) -> Axes:
             ax.axvline(ends[end], color="0.6", linestyle=":")
     unit = view.params[label].unit
     ax.set_xlabel(f"{label} [{unit}]" if unit else label)
-    ax.set_ylabel("standard deviations from the estimate")
-    ax.set_title(f"profile of {label}, {100.0 * ends['confidence']:.4g} % interval")
+    ax.set_ylabel("distance from the estimate [standard deviations]")
+    ax.set_title(f"Profile of {label}, {100.0 * ends['confidence']:.4g} % interval")
     return ax
 
 
@@ -117,7 +117,9 @@ def _chosen(view: ResultView, experiment: str | None, output: str | None) -> Map
     for key, wanted in (("experiment", experiment), ("output", output)):
         known = list(dict.fromkeys(row[key] for row in rows))
         if wanted is not None and wanted not in known:
-            raise ProblemError(f"plot: there is no {key} {wanted!r}{nearest(str(wanted), known)}")
+            raise ProblemError(
+                f"plot: this result has no {key} {wanted!r}{nearest(str(wanted), known)}"
+            )
         rows = [row for row in rows if wanted in (None, row[key])]
     if not rows:
         raise ProblemError("plot: this result has no output that was measured over time")

@@ -253,8 +253,8 @@ class Result(ResultView):
         rows |= self.optional_rows()
         if not rows.get(name) and name not in self.tables:
             raise RunFolderError(
-                f"table: must be one of the tables that this fit has but is {name!r}"
-                f"{nearest(name, self.tables)}"
+                "table: must be one of the tables of this fit but is "
+                f"{name!r}{nearest(name, self.tables)}"
             )
         found = [dataclasses.asdict(row) for row in rows[name]]
         return pa.Table.from_pylist(found) if found else pa.table({})

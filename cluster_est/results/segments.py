@@ -88,19 +88,20 @@ class ShootingSummary:
         if self.continuity_p > SURPRISING:
             return ()
         return (
-            f"the cost of free segments is {self.free_cost:.4g}, and the cost of one trajectory "
-            f"is {self.cost:.4g}: the difference is more than noise explains (p = "
-            f"{self.continuity_p:.1g}). The search has ended at a wrong point (try other starts "
-            "or shorter segments), the model lacks something, or an unmeasured disturbance acts "
-            "on it (process noise)",
+            f"the cost with free segments is {self.free_cost:.4g}, and with one trajectory it is "
+            f"{self.cost:.4g}: noise does not explain the difference (p = "
+            f"{self.continuity_p:.1g}). Either the search ended at a wrong point (try other "
+            "starts or shorter segments), or the model lacks something, or an unmeasured "
+            "disturbance acts on it (process noise)",
         )
 
     @property
     def _followed(self) -> tuple[str, ...]:
         if self.segments > self.asked > 0:
             shorter = (
-                f"records were cut into {self.segments} segments instead of {self.asked}, which "
-                "were too long to follow their data from the declared start",
+                f"the records were cut into {self.segments} segments instead of {self.asked}, "
+                f"because {self.asked} segments were too long to follow the data from the "
+                "declared start",
             )
             return (*shorter, *self._ended)
         return self._ended
@@ -115,16 +116,17 @@ class ShootingSummary:
         if self.joined:
             return (
                 f"the fit began at the result of multiple shooting with {self.segments} segments, "
-                f"whose cost was {self.cost:.6g}",
+                f"which had a cost of {self.cost:.6g}",
             )
         return (
-            f"estimates, errors and curves come from {self.segments} segments, each begun at "
-            f"estimated states (segments.parquet); the largest jump between two is "
-            f"{self.largest_jump:.2g} of a state's spread; test records are simulated in one "
-            "piece",
+            f"estimates, errors and curves come from {self.segments} segments, each with an "
+            "estimated initial state (segments.parquet); the largest jump between two segments is "
+            f"{self.largest_jump:.2g} times the spread of that state; test records are simulated "
+            "in one piece",
             self._whole,
             *(
-                f"{name} was requested but left out, because it simulates whole records"
+                f"{name} was requested but is not computed, because it needs simulations of whole "
+                "records, and the result of this fit holds for segments only"
                 for name in self.left_out
             ),
         )
@@ -133,16 +135,18 @@ class ShootingSummary:
     def _whole(self) -> str:
         """Why the segments were not joined."""
         if self.stopped:
-            return "the search on segments was stopped before it reached a solution"
+            return "the search with segments was stopped before it reached a solution"
         if not np.isfinite(self.whole_cost):
-            return "a training record cannot be simulated in one piece: the model is unstable"
+            return (
+                "a training record cannot be simulated in one piece, because the model is unstable"
+            )
         if self.promised < 1.0:
             return (
-                f"in one piece, records would give standard errors down to {self.promised:.2g} "
-                "times the standard errors from the segments, as for a chaotic model: that is the "
-                "width of one minimum among very many, so it is not used"
+                f"in one piece, the records would give standard errors down to {self.promised:.2g} "
+                "times those from the segments, as for a chaotic model. Such errors only describe "
+                "the width of one minimum among very many, so they are not used"
             )
         return (
-            f"in one piece, from its start, the cost is {self.whole_cost:.3g} instead of "
-            f"{self.cost:.3g}, as for a chaotic or unstable model"
+            "if the records are simulated in one piece from their start, the cost is "
+            f"{self.whole_cost:.3g} instead of {self.cost:.3g}, as for a chaotic or unstable model"
         )

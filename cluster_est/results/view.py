@@ -224,7 +224,7 @@ class ResultView(ABC):
     def _criteria_line(self) -> str:
         found = self.criteria
         if found.why_not:
-            return f"no AIC or BIC: {found.why_not}"
+            return f"AIC and BIC are not known: {found.why_not}"
         return (
             f"AIC {found.aic:.6g}, AICc {found.aicc:.6g}, BIC {found.bic:.6g} "
             f"({found.observations} values, {found.estimated} estimated)"
@@ -237,7 +237,7 @@ class ResultView(ABC):
             for e in facts.get("effects") or ()
         ]
         return (
-            display.DisplayTable("Effects", ("name", "words", "equation", "right with"), effects),
+            display.DisplayTable("Effects", ("name", "words", "equation", "probability"), effects),
             _parameters(tuple(self.params.values()), too_narrow=narrow),
             _errors(self.table("errors").to_pylist()),
         )
@@ -275,7 +275,7 @@ class _Named(Mapping[str, Estimate]):
 
 def _title(facts: Mapping[str, Any]) -> str:
     if facts.get("verdict"):
-        return f"Closed loop: {facts['verdict']}. {facts['summary']}"
+        return f"Search for missing effects: {facts['verdict']}. {facts['summary']}"
     before, after = (np.nan if facts.get(k) is None else facts[k] for k in ("cost_before", "cost"))
     return f"Fit: {facts.get('message', '')}; cost {before:.6g} before, {after:.6g} after"
 

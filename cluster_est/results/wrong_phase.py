@@ -89,11 +89,11 @@ def wrong_phase_notes(
     _, name, where, measured, how = max(found, key=lambda each: each[0])
     more = f"{max(20, 5 * starts)}"
     return (
-        f"{name} of {where} oscillates with a period of {measured.period:.3g} s, "
+        f"in {where}, {name} oscillates with a period of {measured.period:.3g} s, "
         f"{measured.cycles:.0f} times in the record, but the fitted model {how}: a search that "
-        f"begins far away may end in a minimum with a wrong phase; try multistart.n = {more}, or "
-        "segments in which a phase error cannot grow, method.shooting = { length = "
-        f"{2.0 * measured.period:.3g} }}, or a start with about the right period",
+        "begins far from the solution may end in a minimum with a wrong phase. Try multistart.n = "
+        f"{more}; or segments in which a phase error cannot grow, method.shooting = {{ length = "
+        f"{2.0 * measured.period:.3g} }}; or a start with about the right period",
     )
 
 
@@ -113,7 +113,7 @@ def _wrong(
         return
     own = swing_of(output.times, simulated)
     if own is not None and abs(own.cycles - measured.cycles) > OTHER_CYCLES:
-        yield error / spread, measured, f"swings with {own.period:.3g} s"
+        yield error / spread, measured, f"oscillates every {own.period:.3g} s"
     elif float(np.std(simulated)) < HARDLY_MOVING * spread:
         yield error / spread, measured, "hardly moves"
 

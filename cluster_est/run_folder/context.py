@@ -79,7 +79,7 @@ class RunContext:
             check_free(out, overwrite=self._overwrite)
         self.finished = is_there and is_finished(out)
         if self.finished:
-            self._say(f"{out} holds a finished run")
+            self._say(f"the run in {out} is already finished")
         elif (out / "evaluations").is_dir():
             self._lock = RunLock(out / "evaluations")
         if is_there and not self.finished:
@@ -90,13 +90,11 @@ class RunContext:
         self._logged = LoggedOutcomes(self.out / "evaluations")
         self.earlier = EarlierRun(self._logged, recorded(read_facts(self.out)))
         count = len(self._logged)
-        self._say(f"{self.out} is resumed; {count} simulations are in its log")
+        self._say(f"the run in {self.out} is resumed; its log has {count} simulations")
         if self._logged.damaged:
             lost = self._logged.lost
-            what = f"{lost} others that it had are" if lost else "a part of it is"
-            self._say(
-                f"the log was damaged: {what} not as written, and the lost simulations are repeated"
-            )
+            what = f"{lost} more simulations are" if lost else "a part of it is"
+            self._say(f"the log was damaged: {what} lost and will be repeated")
 
     def begin(self) -> RunFolder:
         """Open the folder, if it is not open yet."""
@@ -128,8 +126,9 @@ class RunContext:
         if self._logged is not None and self._logged.differing:
             self._say(
                 f"{self._logged.differing} of the repeated simulations gave residuals that differ "
-                "from their hashes in the log: the FMU or the machine does not repeat them bit "
-                "for bit, and the result may differ from the result of an uninterrupted run"
+                "from the logged ones (by their hashes). So the FMU or the machine does not repeat "
+                "simulations bit for bit, and the result may differ from that of an uninterrupted "
+                "run"
             )
         return self.begin().write(result)
 

@@ -307,8 +307,8 @@ class EvaluationLog:
                     self._is_full = True
                     self._say(
                         f"the log has reached {self._settings.max_megabytes:g} MB "
-                        "(log.max_megabytes): from now on, residuals and trajectories are "
-                        "removed, the oldest first; a resumed run repeats these simulations"
+                        "(log.max_megabytes): from now on, the oldest residuals and trajectories "
+                        "are removed; a resumed run repeats the simulations concerned"
                     )
                 total -= path.stat().st_size
                 if not self._slim_one(path):
@@ -321,7 +321,10 @@ class EvaluationLog:
             slim(path)
         except OSError as error:
             if not self._stays_large:
-                self._say(f"{self._folder}: residuals stay in the log, because {error}")
+                self._say(
+                    f"{self._folder}: residuals cannot be removed from the log ({error}), so "
+                    "the log stays large"
+                )
             self._stays_large = True
             return False
         self._slim.add(path.name)

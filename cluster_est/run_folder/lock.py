@@ -43,7 +43,7 @@ def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
         held.acquire()
     except Timeout:
         raise RunFolderError(
-            f"{folder}: another process is running here ({_named(folder / OWNER)}); wait for it "
+            f"{folder}: another process is running here ({_named(folder / OWNER)}); wait for it, "
             "or end it"
         ) from None
     except OSError:
@@ -115,7 +115,7 @@ def locked_by_sweep(folder: Path) -> Iterator[None]:
         held = lock(folder, SWEEP_LOCK)
     except RunFolderError:
         raise RunFolderError(
-            f"{folder}: another sweep is running here ({_named(owner)}); wait for it or end it"
+            f"{folder}: another sweep is running here ({_named(owner)}); wait for it, or end it"
         ) from None
     try:
         _own(owner, certain=held is not None)
@@ -147,7 +147,7 @@ def _own(owner: Path, *, certain: bool) -> None:
             owner.write_text(json.dumps(here), encoding="utf-8")
     except OSError as error:
         raise RunFolderError(
-            f"{owner.parent}: cannot be written ({error}); choose another"
+            f"{owner.parent}: cannot be written ({error}); choose another folder"
         ) from error
 
 

@@ -192,8 +192,12 @@ class SegmentReader:
             If that is so.
         """
         if self.damaged or (ended and not self.closed):
-            what = f"{self.lost} of its simulations are" if self.lost else "a part of it is"
-            raise RunFolderError(f"{path}: is damaged, {what} not as written; {MEND}")
+            what = (
+                f"{self.lost} of its simulations have" if self.lost else "a part of its content has"
+            )
+            raise RunFolderError(
+                f"{path}: the file is damaged: {what} changed since it was written; {MEND}"
+            )
 
     def _parsed(self, part: pa.Buffer, rows: int, *, first: bool) -> pa.RecordBatch | None:
         """The batch in a message; None for the schema, and for what is not valid."""
@@ -295,13 +299,17 @@ def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
     batches: list[pa.RecordBatch] = []
     paths = segments(folder)
     if not paths:
-        raise RunFolderError(f"{folder}: must hold evaluation segments but holds none")
+        raise RunFolderError(
+            f"{folder}: must contain segments of a log (.arrow), but contains none"
+        )
     for path in paths:
         reader, found = read_segment(path)
         reader.check(path, ended=ended)
         batches += [batch for _, batch in found]
         if reader.torn:
-            warnings.warn(f"{path}: its incomplete end was removed", stacklevel=2)
+            warnings.warn(
+                f"{path}: the end of the log was incomplete and has been removed", stacklevel=2
+            )
     if not batches:
         return pa.Table.from_batches([], schema=SCHEMA)
     return pa.Table.from_batches(batches)

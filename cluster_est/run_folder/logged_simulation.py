@@ -126,8 +126,9 @@ def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
     table = _read(run_folder)
     if not 0 <= number < table.num_rows:
         raise RunFolderError(
-            f"{run_folder}: an ID must be a row of the log, from 0 to {table.num_rows - 1}, but "
-            f"is {number}; `cluster-est show {run_folder} --failures` lists those that failed"
+            f"{run_folder}: the ID of a simulation must be a row of the log, from 0 to "
+            f"{table.num_rows - 1}, but is {number}; `cluster-est show {run_folder} --failures` "
+            "lists the simulations that failed"
         )
     (row,) = table.slice(number, 1).to_pylist()
     residuals = row["residuals"]
@@ -193,7 +194,7 @@ def prepare(
     ids = [experiment.id for experiment in whole.experiments]
     if logged.experiment not in ids:
         raise RunFolderError(
-            f"{where}: its experiment must be in the config but is "
+            f"{where}: its experiment must be in the config, but is "
             f"{logged.experiment!r}{nearest(logged.experiment, ids)}"
         )
     index = ids.index(logged.experiment)
@@ -202,8 +203,8 @@ def prepare(
     wanted = len(whole.model.parameters) + sum(counts)
     if len(logged.values) != wanted:
         raise RunFolderError(
-            f"{where}: must have {wanted} values, as the config does, but has "
-            f"{len(logged.values)}; {run_folder / 'config.toml'} is not the config of this run"
+            f"{where}: has {len(logged.values)} values, but {run_folder / 'config.toml'} expects "
+            f"{wanted}; the file was changed after the run, so restore it"
         )
     same = False
     for problem in _with_rows_of_run(whole, resolved):
@@ -241,13 +242,13 @@ def config_base(run_folder: Path, config: Path | None) -> Path:
     known = read_facts(run_folder).get("config_folder")
     if not isinstance(known, str):
         raise RunFolderError(
-            f"{run_folder}: must record the folder of its config's files but does not; name the "
-            "original config with --config"
+            f"{run_folder}: does not record the folder to which paths in its config are relative; "
+            "name the original config with --config"
         )
     if not Path(known).is_dir():
         raise RunFolderError(
-            f"{run_folder}: its config was in {known}, which is not here; name the config with "
-            "--config"
+            f"{run_folder}: its config was in {known}, which does not exist on this machine; name "
+            "the config with --config"
         )
     return Path(known)
 
@@ -257,8 +258,8 @@ def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Ef
     for name in logged.effects:
         if name not in known:
             raise RunFolderError(
-                f"{where}: its effects must be in the config, but {name!r}, which a closed loop "
-                "tried, is not; add it to the config and run fit or check"
+                f"{where}: its effects must be in the config, but {name!r}, which the search for "
+                "missing effects tried, is not; add it to the config and run fit or check"
             )
     return tuple(known[name] for name in logged.effects)
 
@@ -288,24 +289,34 @@ def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
         if (logged.failed, outcome.failed) == (False, False):
             same = logged.message == outcome.message
             return (
-                "it was ended early, as it was then" if same else "it does not end as it did then"
+                "the simulation was ended early, as in the run"
+                if same
+                else "the simulation does not end as in the run"
             )
         if logged.failed is outcome.failed:
             same = (logged.status, logged.message) == (outcome.status, outcome.message)
-            return "it failed as it did then" if same else "it failed then too, but in another way"
-        return "it failed then and does not now" if logged.failed else "it did not fail then"
+            return (
+                "the simulation failed as in the run"
+                if same
+                else "the simulation failed, as in the run, but with another message"
+            )
+        return (
+            "the simulation failed in the run, but does not fail now"
+            if logged.failed
+            else "the simulation failed now, but did not fail in the run"
+        )
     now = outcome.residuals
     known = logged.residuals_hash or residuals_hash(logged.residuals)
     if known is not None and known == residuals_hash(now):
-        return "its residuals agree with the logged ones bit for bit"
+        return "the residuals agree with the logged ones bit for bit"
     if logged.residuals is None:
         cost = logged_cost(outcome, logged.want)
         same, gap = cost == logged.cost, cost - logged.cost
-        how = "are the same" if same else f"differ by {gap:.3g}"
+        how = "are the same as now" if same else f"differ by {gap:.3g}"
         kept = "; their hashes differ, and" if known is not None else ";"
-        return f"the log does not keep its residuals{kept} their sums of {logged.summed} {how}"
+        return f"the log does not keep the residuals{kept} the sums of {logged.summed} {how}"
     then = logged.residuals
     if len(then) != len(now):
-        return f"there were {len(then)} residuals then and there are {len(now)} now"
+        return f"there were {len(then)} residuals in the run, but there are {len(now)} now"
     most = float(np.max(np.abs(then - now)))
     return f"{np.count_nonzero(then != now)} of {len(now)} residuals differ, by at most {most:.3g}"

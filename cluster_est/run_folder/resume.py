@@ -67,7 +67,7 @@ def check_resumable(out: Path, identity: RunIdentity) -> bool:
     if different:
         raise RunFolderError(
             f"{out}: must hold a run of the same problem to be resumed, but {different}; choose "
-            "another --out, or begin again with --overwrite"
+            "another --out, or start again with --overwrite"
         )
     return True
 
@@ -76,15 +76,17 @@ def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
     """Say what differs from the run that is there, as part of a sentence; empty if nothing does."""
     problem = identity.problem
     if facts.get("format") != FORMAT:
-        return f"its format is {facts.get('format')} and this version writes {FORMAT}"
+        return (
+            f"its format is {facts.get('format')}, and this version of cluster-est writes {FORMAT}"
+        )
     if facts.get("config_hash") != identity.config_hash:
         return _different_key(out, identity)
     if facts.get("fmu", {}).get("sha256") != problem.model.archive_hash:
-        return f"{problem.model.name} was a different FMU with the same name"
+        return f"the FMU {problem.model.name} had other contents then"
     known = facts.get("experiments", {})
     for experiment in problem.experiments:
         if known.get(experiment.id) != experiment.key:
-            return f"the data of experiment {experiment.id!r} were different"
+            return f"the data of experiment {experiment.id!r} were different then"
     return _different_version(facts.get("versions", {}))
 
 
@@ -99,9 +101,9 @@ def _different_key(out: Path, identity: RunIdentity) -> str:
             tree.pop(section, None)
     key = _first_difference(before, now)
     if not key:
-        return "it was begun by another command"
+        return "it was started by another command"
     was, is_now = (_at(tree, key) for tree in (before, now))
-    return f"{'.'.join(key)} was {was} and is {is_now}"
+    return f"{'.'.join(key)} was {was} then and is {is_now} now"
 
 
 def _first_difference(before: Any, now: Any) -> tuple[str, ...]:
@@ -129,8 +131,8 @@ def _different_version(before: dict[str, str]) -> str:
     now = versions()
     for name in ("platform", *DECISIVE):
         if before.get(name) != now.get(name):
-            return f"{name} was {before.get(name)} and is {now.get(name)}"
+            return f"{name} was {before.get(name)} then and is {now.get(name)} now"
     was, is_now = str(before.get("python")), now["python"]
     if was.split(".")[:2] != is_now.split(".")[:2]:
-        return f"python was {was} and is {is_now}"
+        return f"python was {was} then and is {is_now} now"
     return ""

@@ -97,7 +97,7 @@ def left_alone(run_folder: Path, status: str) -> str:
     if status != RunStatus.RUNNING or not is_left(run_folder / "evaluations"):
         return ""
     return (
-        "no process of this machine works in its folder any more; if the run was killed, "
+        "no process on this machine works in the run folder any more; if the run was killed, "
         "continue it with --resume"
     )
 
@@ -135,8 +135,8 @@ def check_has_estimates(run_folder: Path) -> None:
     for key, kind in WITHOUT_ESTIMATES.items():
         if read_facts(run_folder).get(key):
             raise RunFolderError(
-                f"{run_folder}: must be the folder of a fit or a closed loop but is the folder of "
-                f"a {kind}, which has no estimates"
+                f"{run_folder}: must be the folder of fit or close-loop, but is a folder of "
+                f"{kind}, which has no estimates"
             )
 
 
@@ -150,16 +150,16 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
     """
     path = run_folder / "run.json"
     if not path.is_file():
-        raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
+        raise RunFolderError(f"{run_folder}: must be the folder of a run, but has no run.json")
     content = path.read_bytes()
     try:
         if is_damaged(content):
-            raise ValueError("its checksum is another")
+            raise ValueError("its checksum does not match")
         facts: dict[str, Any] = json.loads(content)
         facts["status"]
     except (ValueError, KeyError, TypeError) as error:
         raise RunFolderError(
-            f"{path}: is damaged ({error}); run again, with --overwrite"
+            f"{path}: is damaged ({error}); run the command again with --overwrite"
         ) from error
     facts.pop(SEAL_KEY, None)
     return facts
@@ -176,15 +176,15 @@ def read_config_text(run_folder: Path) -> str:
     path = run_folder / "config.toml"
     if not path.is_file():
         raise RunFolderError(
-            f"{run_folder}: must hold the config of its run but has no {path.name}"
+            f"{run_folder}: must hold the config of its run, but has no {path.name}"
         )
     content = path.read_bytes()
     try:
         if is_damaged(content):
-            raise ValueError("its checksum is another")
+            raise ValueError("its checksum does not match")
         text = content.decode()
         if not is_sealed(content) and f"# {SEAL}".startswith(text[:20]):
-            raise ValueError("it has been cut off")
+            raise ValueError("its end is missing")
         tomllib.loads(text)
     except ValueError as error:
         raise RunFolderError(f"{path}: is damaged ({error}); {MEND}") from error
@@ -234,7 +234,7 @@ def read_run_columns(path: Path) -> pa.Table:
     # pq.read_table would import all of pyarrow.dataset, and make columns of a folder named "k=3"
     try:
         if is_damaged(content):
-            raise OSError("its checksum is another")
+            raise OSError("its checksum does not match")
         with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
             table = file.read()
         if not is_sealed(content):

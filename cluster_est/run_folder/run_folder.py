@@ -63,7 +63,7 @@ class RunResult(Protocol):
 
 
 class RunFolder:
-    """Writes a run while it goes on.
+    """Writes a run while it is running.
 
     Parameters
     ----------
@@ -272,17 +272,19 @@ def check_free(path: Path, *, overwrite: bool) -> None:
         If it is a file, or holds a run and `overwrite` is false, or holds something else.
     """
     if path.exists() and not path.is_dir():
-        raise RunFolderError(f"{path}: must be a folder but is a file; choose another --out")
+        raise RunFolderError(f"{path}: must be a folder, but is a file; choose another --out")
     if not path.is_dir() or not any(path.iterdir()):
         return
     if only_begun(path):
         return
     if not (path / "run.json").is_file():
-        raise RunFolderError(f"{path}: must be new or empty but holds other files; choose another")
+        raise RunFolderError(
+            f"{path}: must be a new or empty folder, but holds other files; choose another folder"
+        )
     if not overwrite:
         how = "choose another --out, or replace it with --overwrite"
         if may_be_resumed(path):
-            how = f"continue it with --resume, {how}"
+            how = f"continue the run with --resume, {how}"
         raise RunFolderError(f"{path}: holds a run already; {how}")
 
 

@@ -152,10 +152,12 @@ class ProgressTail:
         """
         lost = self.damaged + bool(self._torn)
         if lost:
-            what = f"{lost} of its lines {'is' if lost == 1 else 'are'}"
-            raise RunFolderError(f"{self._path}: is damaged, {what} not as written; {MEND}")
+            what = f"{lost} of its lines {'has' if lost == 1 else 'have'}"
+            raise RunFolderError(
+                f"{self._path}: the file is damaged: {what} changed since it was written; {MEND}"
+            )
         if not self.ended and self._path.is_file():
-            raise RunFolderError(f"{self._path}: is damaged, its end is missing; {MEND}")
+            raise RunFolderError(f"{self._path}: the file is damaged: its end is missing; {MEND}")
 
     def _read(self, text: bytes) -> IterationLine | None:
         if is_damaged(text) or not is_sealed(text):

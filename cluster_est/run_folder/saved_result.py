@@ -48,8 +48,8 @@ class SavedResult(ResultView):
         path = self.path / f"{name}.parquet"
         if not path.is_file():
             raise RunFolderError(
-                f"table: must be one of the tables that {self.path} has but is {name!r}"
-                f"{nearest(name, self.tables)}"
+                f"table: must be one of the tables in {self.path}, but is "
+                f"{name!r}{nearest(name, self.tables)}"
             )
         return read_run_columns(path)
 
@@ -109,6 +109,7 @@ def load(folder: str | Path) -> SavedResult:
     if not (path / "parameters.parquet").is_file():
         status = read_facts(path)["status"]
         raise RunFolderError(
-            f"{path}: must be a run with results but is {status}; wait, or resume it"
+            f"{path}: must be a run with results, but its status is {status}; wait for it, or "
+            "resume it"
         )
     return SavedResult(path)

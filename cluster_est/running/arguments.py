@@ -138,22 +138,23 @@ def check_method(method: Method, space: SearchSpace) -> None:
     """
     if space.size == 0:
         raise ProblemError(
-            "parameters: at least one must be free to be estimated from the training "
-            "experiments, but all are fixed or known; to simulate only, use: cluster-est simulate"
+            "parameters: at least one must be free, so that there is something to estimate from "
+            "the training experiments, but all are fixed or known; for a simulation without "
+            "estimation, use: cluster-est simulate"
         )
     cost = space.problem.cost
     probe = np.ones(len(space.outputs))
     if method.needs_residuals and cost.weights(probe, space.outputs) is None:
         raise ProblemError(
             f"method.name: {method.name} needs residuals whose squares can be weighted, but "
-            f"cost.name is {cost.name!r}; change one of the two, for example to the method sqp or "
+            f"cost.name is {cost.name!r}; change one of the two, for example the method to sqp or "
             "pattern_search"
         )
     if space.constraint_names and not method.keeps_constraints:
         raise ProblemError(
-            f"method.name: {method.name} cannot satisfy constraints but there are some "
-            f"({space.constraint_names[0]!r}); choose least_squares, sqp or pattern_search, or "
-            "remove them"
+            f"method.name: {method.name} does not support constraints, but the problem has some, "
+            f"such as {space.constraint_names[0]!r}; choose least_squares, sqp or pattern_search, "
+            "or remove the constraints"
         )
     method.check(space)
 
@@ -171,7 +172,7 @@ def check_values(problem: Problem, values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if name not in labels:
             raise ProblemError(
-                f"{dotted('values', name)}: must be named as an unknown of the problem but is not"
-                f"{nearest(str(name), labels)}"
+                f"{dotted('values', name)}: must be an unknown of the problem, but is "
+                f"not{nearest(str(name), labels)}"
             )
         check_number(value, dotted("values", name), ProblemError)

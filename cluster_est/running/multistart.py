@@ -133,13 +133,13 @@ class Multistart(Settings):
 
     n: Positive = Field(
         1,
-        description="number of starts: first the start values of the parameters, then points, then "
-        "samples within the bounds",
+        description="number of starts: first the start values of the parameters, then the points "
+        'of "points", then samples within the bounds',
     )
     sampler: Sampler = Field(
         "sobol",
-        description="how starts are sampled within the bounds: sobol and latin_hypercube sample "
-        "evenly, uniform at random",
+        description="how starts are sampled within the bounds; sobol and latin_hypercube cover "
+        "them evenly; uniform: at random",
     )
     points: Annotated[tuple[dict[str, Finite], ...], Strict(False)] = Field(
         (),
@@ -147,21 +147,21 @@ class Multistart(Settings):
         "named keep their start values",
     )
     screen: Positive = Field(
-        1, description="points evaluated for each start; the best ones become starts"
+        1, description="number of samples evaluated for each start; the best samples become starts"
     )
     at_once: Positive = Field(
         16,
-        description="starts that run at the same time, for any number of workers; fewer if a "
-        "budget is too small for all",
+        description="number of starts that run at the same time, whatever the number of workers; "
+        "fewer if a budget is too small for all of them",
     )
     patience: Count = Field(
-        0, description="stop after this number of starts in a row without a new minimum; 0: never"
+        0, description="stop if this number of starts in a row has found no new minimum; 0: never"
     )
     same: Finite = Field(
         1e-3,
         gt=0.0,
-        description="two minima count as the same if they differ by less than this part of the "
-        "range in each unknown",
+        description="two minima count as the same if every unknown differs by less than this "
+        "fraction of its range",
     )
     seed: Count = Field(0, description="seed of the sampler")
 
@@ -338,9 +338,8 @@ def _check_bounds(space: SearchSpace) -> None:
             parameter = unknown.parameter
             raise ProblemError(
                 f"{dotted('parameters', parameter.name)}.bounds: must be finite{positive}, because "
-                "starts "
-                f"are sampled between them, but are [{parameter.lower:g}, {parameter.upper:g}]; "
-                "narrow them, or give multistart.points instead"
+                f"starts are sampled between them, but are [{parameter.lower:g}, "
+                f"{parameter.upper:g}]; narrow them, or give multistart.points instead"
             )
 
 
@@ -378,9 +377,10 @@ def _named(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
             if not (np.isfinite(x[i]) and space.lower[i] <= x[i] <= space.upper[i]):
                 parameter = unknown.parameter
                 raise ProblemError(
-                    f"multistart.points: {unknown.label} must lie in its bounds "
-                    f"[{parameter.lower:g}, {parameter.upper:g}]"
-                    f"{' and be positive' if unknown.log else ''} but is {given:g}; move it"
+                    f"multistart.points: {unknown.label} must lie within its bounds "
+                    f"[{parameter.lower:g}, "
+                    f"{parameter.upper:g}]{' and be positive' if unknown.log else ''}, but is "
+                    f"{given:g}; change the point"
                 )
     return x
 

@@ -23,14 +23,14 @@ SECONDS_BETWEEN_REDRAWS = 0.1
 SEARCH_TITLES = {
     "models": "fitting",
     "candidates": "simulating inputs",
-    "refits": "fitting rivals to what each model predicts",
+    "refits": "fitting each model to the predictions of the others",
     "before": "simulating at the start values",
     "sample": "simulating between the bounds",
     "train": "searching",
     "screen": "screening the starts",
     "starts": "evaluating the starts",
-    "derivatives": "finding the intervals",
-    "directions": "finding the intervals",
+    "derivatives": "computing the intervals",
+    "directions": "computing the intervals",
     "test": "fitting the test records",
     "after": "simulating at the estimates",
     "weights": "weighting the outputs",
@@ -47,9 +47,9 @@ SEARCH_TITLES = {
     "process noise": "fitting the process noise",
     "sizes": "measuring the influence of each unknown",
     "gaps": "simulating across gaps",
-    "sensors": "finding the start values of sensors",
+    "sensors": "estimating the start values of sensors",
     "segments": "simulating segments",
-    "records": "testing the records for errors",
+    "records": "testing the records for faults",
     "shapes": "computing the shapes of the effects",
     "posterior": "drawing from the posterior",
     "predictions": "simulating predictions",
@@ -168,7 +168,7 @@ def progress_of(given: Show | bool | None, budget: Budget) -> Iterator[Show | No
         return
     if given not in (None, True, False):
         raise ProblemError(
-            f"progress: must be true, false or a function of a snapshot but is {shown(given)}"
+            f"progress: must be true, false or a function of a snapshot, but is {shown(given)}"
         )
     place = None if given is False else _place()
     if place is None:
@@ -259,7 +259,7 @@ def note_of(callback: Callback | None) -> Note | None:
     if callback is None:
         return None
     if not callable(callback):
-        raise ProblemError(f"callback: must be a function but is {shown(callback)}")
+        raise ProblemError(f"callback: must be a function, but is {shown(callback)}")
 
     stopped = False
 

@@ -133,7 +133,7 @@ class RepeatabilityTest:
         if last.ok and _bits(last) == _bits(first):
             return RepeatabilityAnswer(True, first=first, at=time.monotonic())
         if last.ok:
-            return RepeatabilityAnswer(False, message="keeps something through a reset")
+            return RepeatabilityAnswer(False, message="keeps data through a reset")
         crashed = last.status is Status.CRASH
         what = "crashes" if crashed else "fails"
         return RepeatabilityAnswer(
@@ -172,10 +172,10 @@ def open_with_reset(
         disturbs = _disturbance(problem, resources, pool)
         if disturbs and resources.workers is not None:
             raise UnsuitableExecutorError(
-                f"executor.workers: two instances of {problem.model.name} in one process must not "
-                f"disturb each other to be run by {pool.workers} workers in this process, but "
-                f'they {disturbs}; choose executor.name = "processes" or "ray", or set '
-                "executor.workers = 1"
+                f"executor.workers: {pool.workers} workers in this process need instances of "
+                f"{problem.model.name} that do not disturb each other, but two instances "
+                f'{disturbs}; choose executor.name = "processes" or "ray", or set executor.workers '
+                "= 1"
             )
     except BaseException:
         pool.close()
@@ -209,26 +209,27 @@ def _open(
         pool = executor_class(kind)
         if not (CAN_FORK or pool.in_process):
             raise UnsuitableExecutorError(
-                f'executor.name: "{kind}" needs a system that can fork processes, as Linux and '
-                'macOS can, but this one cannot; choose "local"'
+                f'executor.name: "{kind}" needs a system that can fork processes, such as Linux or '
+                'macOS, but this system cannot; choose "local"'
             )
         if policy == "process" and pool.in_process:
             raise UnsuitableExecutorError(
-                'model.reset: "process" needs workers in separate processes but executor.name is '
-                f'"{kind}"; choose "processes" or "ray" there'
+                'model.reset: "process" needs workers in separate processes, but executor.name is '
+                f'"{kind}"; set executor.name to "processes" or "ray"'
             )
         return pool.open(model, problem.experiments, count, resources.address, limits)
 
     if problem.model.working_folder and executor_class(resources.executor).in_process:
         raise UnsuitableExecutorError(
-            "model.working_folder: needs workers in separate processes, because a process has "
-            f'one working folder, but executor.name is "{resources.executor}"; choose "processes" '
-            'or "ray" there'
+            "model.working_folder: needs workers in separate processes, because a process has only "
+            f'one working folder, but executor.name is "{resources.executor}"; set executor.name '
+            'to "processes" or "ray"'
         )
     declared = problem.model.reset
     if known is None and declared != "auto":
         said = (
-            f"each simulation begins with {BEGINNING_OF_SIMULATION[declared]}, as model.reset says"
+            f"each simulation begins with {BEGINNING_OF_SIMULATION[declared]}, as set by "
+            "model.reset"
         )
         known = ResetDecision(declared, said, plain=True)
     if known is not None:
@@ -332,9 +333,9 @@ def _compared(
         return decision
     return ResetDecision(
         decision.policy,
-        f"{problem.model.name} is not repeatable: the same simulation gives another result in "
-        "another process, later, or after other simulations, and so may this run; check it with "
-        "cluster-est check",
+        f"{problem.model.name} is not repeatable: the same simulation gives a different result in "
+        "another process, at a later time, or after other simulations. So this run may not be "
+        "repeatable either; test the FMU with cluster-est check",
     )
 
 
@@ -345,12 +346,12 @@ def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> Re
         if answer.same is None:
             said = f"{_UNKNOWN} ({answer.message})" if answer.message else _UNKNOWN
             return ResetDecision("reset", said)
-        said = "a reset instance is as good as a new one"
+        said = "a reset instance gives the same results as a new one"
         return ResetDecision("reset", said, plain=True) if answer.same else None
     if not answer.same:
         return None
     begins = BEGINNING_OF_SIMULATION[policy]
-    said = f"{file} {answers['reset'].message}: each simulation begins with {begins}"
+    said = f"{file} {answers['reset'].message}, so each simulation begins with {begins}"
     return ResetDecision(policy, said)
 
 
@@ -358,8 +359,9 @@ def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer
     """Return the least policy that does not crash, for an FMU that does not repeat itself."""
     safe = [policy for policy, answer in answers.items() if not answer.crashed]
     said = (
-        f"{file} is not repeatable: the same simulation gives other results each time, even in a "
-        f"new {'process' if 'process' in answers else 'instance'}, and so may this run"
+        f"{file} is not repeatable: the same simulation gives a different result each time, even "
+        f"in a new {'process' if 'process' in answers else 'instance'}. So this run may not be "
+        "repeatable either"
     )
     return ResetDecision(safe[0] if safe else "reset", said)
 
@@ -370,16 +372,16 @@ def _refuse_here(
     """Refuse to run an FMU in this process that would take it along, or spoil what comes next."""
     if answer.same is None and answer.crashed:
         raise UnsuitableExecutorError(
-            f"executor.name: {file} must survive its first simulation to be run in this process, "
-            f'but it does not ({answer.message}); choose "processes" or "ray", where only '
-            "simulations that crash are lost"
+            f"executor.name: {file} must survive a simulation to be run in this process, but its "
+            f'first simulation crashed ({answer.message}); choose "processes" or "ray", where a '
+            "crash ends only the simulation concerned"
         )
     if policy == "process":
         raise UnsuitableExecutorError(
             f"executor.name: {file} keeps data from one simulation to the next, even in a new "
-            f'instance, so each simulation needs a separate process, but "{executor}" has one for '
-            'all; choose "processes" or "ray", or set model.reset = "reset" if that does not '
-            "matter"
+            f'instance, so each simulation needs its own process, but "{executor}" runs all of '
+            'them in one process; choose "processes" or "ray", or set model.reset = "reset" if '
+            "that does not matter"
         )
 
 

@@ -26,8 +26,8 @@ class Budget(Settings):
     evaluations: Count | None = Field(
         None,
         gt=0,
-        description="largest number of points that all searches evaluate together, each with all "
-        "experiments",
+        description="largest number of points that all searches together may evaluate; each point "
+        "is a simulation of all experiments",
     )
     seconds: Finite | None = Field(
         None, gt=0.0, description="time in seconds after which no new points are requested"
@@ -44,18 +44,18 @@ class LogSettings(Settings):
 
     residuals: bool = Field(
         True,
-        description="false: do not write residuals and trajectories; a resumed run computes them "
-        "again",
+        description="false: residuals and trajectories are not written; a resumed run computes "
+        "them again",
     )
     keep_residuals: bool = Field(
         False,
         description="true: residuals and trajectories stay in the log when the run is done; false: "
-        "only hashes stay",
+        "only their hashes stay",
     )
     max_megabytes: Finite = Field(
         1024.0,
         ge=0.0,
-        description="size of the log above which residuals and trajectories of the oldest "
+        description="size of the log in MB above which residuals and trajectories of the oldest "
         "simulations are removed; about 270 bytes of each simulation stay; 0: no limit",
     )
 
@@ -209,8 +209,8 @@ class Resources:
         if self.instances is None or self.workers is None or self.workers <= self.instances:
             return ()
         return (
-            f"executor.instances: {self.instances} of the {self.workers} workers of "
-            "executor.workers are started, because each has an instance of the FMU",
+            f"executor.instances: only {self.instances} of the {self.workers} workers in "
+            "executor.workers are started, because each worker needs an instance of the FMU",
         )
 
 

@@ -283,7 +283,7 @@ class Runner:
             self._interrupt()
             if self._whole:
                 raise
-        said = "the run was interrupted before it ran"
+        said = "the run was interrupted before this simulation"
         return [
             answers.get(task.id, Outcome(task.id, Status.NOT_RUN, message=said)) for task in tasks
         ]

@@ -359,7 +359,7 @@ class PendingTasks:
             kind = origin.task.experiment, origin.task.want in REDUCTIONS
             wanted = self._sizes.setdefault(kind, found)
             if found != wanted:  # of a user's function, on a worker that saw no other point yet
-                message = f"there are {found} residuals but there were {wanted} at the first point"
+                message = f"there are {found} residuals, but at the first point there were {wanted}"
                 seconds, worker = outcome.seconds, outcome.worker
                 outcome = Outcome(
                     outcome.task, Status.NOT_FINITE, message=message, seconds=seconds, worker=worker

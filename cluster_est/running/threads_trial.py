@@ -71,7 +71,7 @@ NO_HURRY = 1e6
 """Seconds: a clock must not decide what a run may do."""
 INSTANCES_AT_ONCE = 2
 """Instances that are tried at once."""
-DISTURBED = "give other results while another one is simulated"
+DISTURBED = "give different results while another one is simulated"
 
 
 def two_simulations(problem: Problem, first: int = 0) -> SideBySideProbe:

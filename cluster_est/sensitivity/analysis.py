@@ -223,9 +223,9 @@ def analyse_on(
     lost = groups - int(kept.sum()) // design.group(space.size)
     if groups - lost < design.fewest:
         raise ProblemError(
-            f"sensitivity: at least {design.fewest} groups of points must be simulated between "
-            f"the bounds but in {lost} of {groups} a simulation failed, or gave no finite cost or "
-            "output; narrow the bounds of the parameters, or use more sensitivity.groups"
+            f"sensitivity: at least {design.fewest} groups of points must be simulated between the "
+            f"bounds, but in {lost} of {groups} groups, a simulation failed or gave no finite cost "
+            "or output; narrow the bounds of the parameters, or increase sensitivity.groups"
         )
     quantities, values = with_log_cost(reader.quantities, values[kept], space.problem.cost)
     found = [design.indices(points[kept], column, generator) for column in values.T]
@@ -262,7 +262,8 @@ def check_bounds(problem: Problem) -> SearchSpace:
     space = make_space(problem, problem.indices("train"), known=behind_gaps)
     if space.size == 0:
         raise ProblemError(
-            "parameters: at least one must be free to be analysed but all are fixed or known"
+            "parameters: at least one must be free for a sensitivity analysis, but all are "
+            "fixed or known; free one of them"
         )
     for unknown, low, high in zip(space.unknowns, space.lower, space.upper, strict=True):
         if not np.isfinite([low, high]).all():
@@ -271,7 +272,8 @@ def check_bounds(problem: Problem) -> SearchSpace:
             must = "bounds above 0, because its scale is log," if above else "finite bounds"
             raise ProblemError(
                 f"{_key_of(space, parameter.name)}: must be {must} between which a sensitivity "
-                f"analysis samples but is [{parameter.lower:g}, {parameter.upper:g}]"
+                f"analysis can sample, but is [{parameter.lower:g}, {parameter.upper:g}]; change "
+                "the bounds"
             )
     return space
 
@@ -314,8 +316,8 @@ def _order(
     linear = linearise(runner, space, solution)
     if linear.jacobian is None:
         return [], (
-            "there is no order of estimation: the start values, or points close to them, could "
-            "not be simulated, or the derivatives are too large for one array"
+            "there is no order of estimation, because the model could not be simulated at the "
+            "start values or close to them, or because the derivatives are too large for one array"
         )
     changes = np.minimum(space.typical, space.upper - space.lower)
     return identifiable_order(linear.jacobian, changes, settings.collinearity), ""

@@ -248,8 +248,8 @@ class SensitivityResult:
         rows: dict[str, Sequence[Any]] = {"ranking": self.ranking, "indices": self.indices}
         if name not in rows:
             raise RunFolderError(
-                f"table: must be one of the tables of a sensitivity analysis but is {name!r}"
-                f"{nearest(name, self.tables)}"
+                "table: must be one of the tables of this sensitivity analysis but is "
+                f"{name!r}{nearest(name, self.tables)}"
             )
         return pa.Table.from_pylist([dataclasses.asdict(row) for row in rows[name]])
 
@@ -282,20 +282,20 @@ class SensitivityResult:
         found = list(self.problem.notes())
         if self.lost:
             found.append(
-                f"{self.lost} of {self.groups} groups of points had a failed simulation or no "
-                "finite cost, and are not used: the indices apply to the part of the bounds that "
-                "can be simulated"
+                f"{self.lost} of {self.groups} groups of points are not used, because a simulation "
+                "failed or the cost was not finite; the indices describe only that part of the "
+                "parameter space that can be simulated"
             )
         if not self._largest:
             found.append("no parameter changes the cost within the bounds")
         wide = [u.label for u in self.ranking if u.half_width > UNSETTLED * self._largest]
         if wide:
             found.append(
-                f"the intervals of {_named(wide)} are wide compared with the largest index: use "
-                "more sensitivity.groups before you rank by them"
+                f"the confidence intervals for {_named(wide)} are wide compared with the largest "
+                "index; increase sensitivity.groups before you rank these parameters"
             )
         if self._largest and not any(row.output not in (COST, LOG_COST) for row in self.indices):
-            found.append("only the cost was analysed, and no output over time")
+            found.append("only the cost was analysed, not the outputs over time")
         if self.why_no_order:
             found.append(self.why_no_order)
         apart = [u for u in self.ranking if not u.together and np.isfinite(u.collinearity)]
@@ -303,16 +303,16 @@ class SensitivityResult:
         if apart:
             labels = _named([u.label for u in apart])
             found.append(
-                f"at the start values {labels} cannot be distinguished from the unknowns "
+                f"at the start values, the data cannot distinguish {labels} from the unknowns "
                 f"before {'it' if len(apart) == 1 else 'them'} in the order of estimation "
                 f"(collinearity index of {min(u.collinearity for u in apart):.3g} or more): fix "
-                f"{'it' if len(apart) == 1 else 'them'} (fixed = true), where the value is known "
-                "well enough, or measure what distinguishes them"
+                f"{'it' if len(apart) == 1 else 'them'} (fixed = true) if the value is known well "
+                f"enough, or measure what distinguishes {'it' if len(apart) == 1 else 'them'}"
             )
         if unseen:
             found.append(
-                f"at the start values the residuals do not depend on {_named(unseen)}, or only in "
-                "a way that others compensate"
+                f"at the start values, the residuals do not depend on {_named(unseen)}, or other "
+                "unknowns fully compensate for the change"
             )
         return tuple(found)
 

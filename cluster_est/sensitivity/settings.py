@@ -23,8 +23,11 @@ class SensitivitySettings(Settings):
     )
     groups: Count = Field(
         0,
-        description="number of trajectories of morris or base samples of sobol; a trajectory has "
-        "one point more than there are unknowns, a base sample two; 0: 20 or 512",
+        description=(
+            "number of trajectories (morris) or base samples (sobol); with n unknowns, a "
+            "trajectory has n + 1 points and a base sample has n + 2; 0: 20 trajectories or 512 "
+            "base samples"
+        ),
     )
     times: Count = Field(
         20,
@@ -32,19 +35,22 @@ class SensitivitySettings(Settings):
         "computed; 0: only indices of the cost",
     )
     collinearity: Finite = Field(
-        15.0, ge=1.0, description="index above which unknowns cannot be estimated together"
+        15.0,
+        ge=1.0,
+        description="collinearity index above which unknowns cannot be estimated together",
     )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.method not in DESIGNS:
             raise sentence(
-                f"sensitivity.method: there is no {self.method!r}{nearest(self.method, DESIGNS)}"
+                "sensitivity.method: there is no method "
+                f"{self.method!r}{nearest(self.method, DESIGNS)}"
             )
         fewest = DESIGNS[self.method].fewest
         if 0 < self.groups < fewest:
             raise sentence(
-                f"sensitivity.groups: must be 0 or at least {fewest} for {self.method!r} but is "
+                f"sensitivity.groups: must be 0 or at least {fewest} for {self.method!r}, but is "
                 f"{self.groups}"
             )
         return self

@@ -91,9 +91,9 @@ def check_begin(part: Experiment, path: Trajectory | None) -> None:
         is_ = float(path.values[0, path.variables.index(own.variable)])
         if abs(is_ - own.start) > SAME_FIRST_STATE * max(abs(own.start), abs(is_), 1e-12):
             raise ProblemError(
-                f"experiment {part.id!r}: must begin after a gap with the states that are set, "
-                f"but {own.variable!r} was set to {own.start:.6g} and began at {is_:.6g}; export "
-                'the model with fixed start values, or set gaps = "bridge" or another stop in '
+                f"experiment {part.id!r}: must begin with the given states after a gap, but "
+                f"{own.variable!r} was set to {own.start:.6g} and began at {is_:.6g}; export the "
+                'model with fixed start values, or set gaps = "bridge" or another stop in '
                 f"experiment {part.record_id!r}"
             )
 

@@ -176,10 +176,10 @@ def _check_begin(
     for name, is_, set_ in zip(segmented.states.names, begins[0], wanted, strict=True):
         if abs(is_ - set_) > SAME_FIRST_STATE * max(abs(set_), abs(is_), 1e-12):
             raise ProblemError(
-                f"method.shooting: needs a model that begins with the states that are set, but "
-                f"{name!r} of {segmented.original.model.name} was set to {set_:.6g} in "
-                f"{segment.experiment.id!r} and began at {is_:.6g}; export it with fixed start "
-                "values, or leave method.shooting out"
+                f"method.shooting: needs a model that begins with the given states, but {name!r} "
+                f"of {segmented.original.model.name} was set to {set_:.6g} in "
+                f"{segment.experiment.id!r} and began at {is_:.6g}; export the model with fixed "
+                "start values, or leave method.shooting out"
             )
 
 

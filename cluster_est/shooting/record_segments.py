@@ -35,11 +35,15 @@ class Shooting(Settings):
     segments: int | None = Field(
         None,
         ge=2,
-        description="number of segments of each training record; fewer if it has fewer measured "
-        "times",
+        description=(
+            "number of segments of each training record; fewer if the record has fewer measured "
+            "times"
+        ),
     )
     length: Finite | None = Field(
-        None, gt=0.0, description="instead of segments: longest segment in seconds"
+        None,
+        gt=0.0,
+        description="longest duration of a segment in seconds; give it instead of segments",
     )
 
     @model_validator(mode="after")
@@ -47,8 +51,8 @@ class Shooting(Settings):
         if (self.segments is None) == (self.length is None):
             given = "neither" if self.segments is None else "both"
             raise sentence(
-                f"{self.section}: must have segments or length, but has {given}; write "
-                "{ segments = 20 }, or { length = 0.5 } for seconds"
+                f"{self.section}: must have either segments or length, but has {given}; write {{ "
+                "segments = 20 }, or { length = 0.5 } (in seconds)"
             )
         return self
 
@@ -105,7 +109,7 @@ def segment_states(problem: Problem, description: ModelDescription) -> SegmentSt
     names = description.states
     if not names:
         raise ProblemError(
-            f"method.shooting: needs a model with states but {description.file} has none, so each "
+            f"method.shooting: needs a model with states, but {description.file} has none, so each "
             "sample is independent already; leave method.shooting out"
         )
     owner = {
@@ -126,10 +130,9 @@ def segment_states(problem: Problem, description: ModelDescription) -> SegmentSt
 def _check_plain(parameter: Parameter) -> None:
     if parameter.expression:
         raise ProblemError(
-            f"method.shooting: needs states that are set by themselves, but {parameter.target!r} "
-            f"follows from the expression of {dotted('parameters', parameter.name)}; estimate it, "
-            "or give "
-            "its value"
+            "method.shooting: needs states that can be set independently, but "
+            f"{parameter.target!r} follows from the expression of "
+            f"{dotted('parameters', parameter.name)}; estimate this state, or give its value"
         )
 
 
@@ -259,7 +262,7 @@ def _check_effects(problem: Problem, description: ModelDescription) -> None:
             what = "has an internal state" if defined.states else "depends on the past"
             raise ProblemError(
                 f"method.shooting: cannot be used with effect {defined.effect.name!r}, which "
-                f"{what}: a segment has no history; leave one of the two out"
+                f"{what}, because a segment has no history; leave one of the two out"
             )
 
 
@@ -267,7 +270,8 @@ def _check_record(experiment: Experiment) -> None:
     where = f"method.shooting: cannot cut experiment {experiment.id!r}, because it has"
     for what in besides_plain_outputs(experiment):
         raise ProblemError(
-            f"{where} {what}, which applies to the whole record; leave that or method.shooting out"
+            f"{where} {what}, which applies to the whole record; remove that, or leave "
+            "method.shooting out"
         )
 
 

@@ -175,14 +175,15 @@ def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> Se
     """
     if not isinstance(method, LeastSquares):
         raise ProblemError(
-            f"method.shooting: needs method.name least_squares but it is {method.name}; change it, "
-            "or leave method.shooting out"
+            f'method.shooting: needs method.name = "least_squares", but it is {method.name}; '
+            "change it, or leave method.shooting out"
         )
     cost = train.problem.cost
     if cost.name != "sse":
         raise ProblemError(
             'method.shooting: needs cost.name = "sse", because the weight of continuity is '
-            f"relative to it, but it is {cost.name!r}; change it, or leave method.shooting out"
+            f"relative to this cost, but it is {cost.name!r}; change it, or leave method.shooting "
+            "out"
         )
     return cut(train.problem, shooting)
 
@@ -281,8 +282,9 @@ def _honest(solution: Solution, found: SegmentSolution) -> Solution:
     if found.largest_jump <= JOINED or not solution.ending.success:
         return solution
     message = (
-        f"the segments do not join: the largest jump between two is {found.largest_jump:.2g} of a "
-        "state's spread; start closer, or use shorter segments"
+        "the segments do not join: the largest jump between two segments is "
+        f"{found.largest_jump:.2g} times the spread of the state; begin closer to the solution, or "
+        "use shorter segments"
     )
     return replace(solution, ending=Ending.STALLED, message=message)
 

@@ -119,7 +119,10 @@ def _structured(output: OutputDiagnostics) -> bool:
 MOST_NAMED_OUTPUTS = 4
 """Outputs in a sentence; of more, those with the largest error are named."""
 
-ADVICE = "to look for it: cluster-est close-loop CONFIG --out FOLDER, in Python close_loop(problem)"
+ADVICE = (
+    "to search for missing effects, run cluster-est close-loop CONFIG --out FOLDER, or in Python "
+    "close_loop(problem)"
+)
 
 
 def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
@@ -133,20 +136,20 @@ def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
     sentences = []
     if missing:
         sentences.append(
-            f"{_each(missing, _over_sigma)}: these intervals are too narrow, {reason}something is "
-            f"missing from the model, which they do not include; {ADVICE}"
+            f"{_each(missing, _over_sigma)}: {reason}something is missing from the model, so these "
+            f"intervals are too narrow; {ADVICE}"
         )
     if sized:
         sentences.append(
-            f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured, which the "
-            "intervals include, or something small is missing, which they do not include; "
+            f"{_each(sized, _no_larger)}: {reason}the sensor noise is coloured (the intervals "
+            "allow for that), or something small is missing (the intervals do not allow for that); "
             f"{ADVICE}"
         )
     if others:
         sentences.append(
-            f"{_each(others, _times_noise)}: {reason}something is missing from the model, and "
-            "these intervals are too narrow, or the sensor's noise is coloured, which they "
-            f"include; {ADVICE}"
+            f"{_each(others, _times_noise)}: {reason}something is missing from the model (then "
+            "these intervals are too narrow), or the sensor noise is coloured (the intervals allow "
+            f"for that); {ADVICE}"
         )
     return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
 
@@ -164,8 +167,8 @@ def _over_sigma(output: OutputDiagnostics) -> str:
 
 def _no_larger(output: OutputDiagnostics) -> str:
     return (
-        f"residuals are {_related(output)} though hardly larger than sigma "
-        f"({output.rms_over_sigma:.2g} x)"
+        f"residuals are {_related(output)}, although hardly larger than sigma "
+        f"({output.rms_over_sigma:.2g} x sigma)"
     )
 
 
@@ -187,14 +190,14 @@ def _of_sigma(output: OutputDiagnostics) -> str:
     if output.sigma is SigmaDoubt.OUTLIERS:
         return (
             f"{output.output}: residuals are white, but the largest is "
-            f"{output.largest_over_rms:.2g} times their root mean square: a few samples are "
-            "outliers, or show something sudden that the model lacks; look at them, or use the "
-            'cost "huber"'
+            f"{output.largest_over_rms:.2g} times their root mean square: either a few samples are "
+            "outliers, or they show a sudden event that the model lacks; check these samples, or "
+            'use the cost "huber"'
         )
     if output.structure is ResidualStructure.WHITE:
         return (
-            f"{output.output}: error is {times} x sigma but white: nothing seems to be "
-            f"missing; the declared sigma is probably {times} times too small; correct it"
+            f"{output.output}: error is {times} x sigma but white, so nothing seems to be missing "
+            f"from the model; the declared sigma is probably {times} times too small; correct it"
         )
     return small_sigma(output.output, [output.noise_over_sigma])
 
@@ -213,17 +216,17 @@ def autocorrelated(lag1: float, length: float = np.nan) -> str:
 def small_sigma(named: str, noise: Collection[float]) -> str:
     """Say of some outputs that their noise over sigma is far above 1."""
     return (
-        f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma: the declared "
-        f"sigma is probably {from_to(noise)} times too small; correct it"
+        f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma, so the "
+        f"declared sigma is probably {from_to(noise)} times too small; correct it"
     )
 
 
 def large_sigma(named: str, errors: Collection[float]) -> str:
     """Say of some outputs that their errors over sigma are far below 1."""
     return (
-        f"{named}: error is {from_to(errors)} x sigma: the declared sigma is probably "
-        f"{from_to([1.0 / error for error in errors])} times too large; correct it, or errors "
-        "over sigma have no meaning"
+        f"{named}: error is {from_to(errors)} x sigma, so the declared sigma is probably "
+        f"{from_to([1.0 / error for error in errors])} times too large; correct it, because "
+        "otherwise errors over sigma have no meaning"
     )
 
 

@@ -87,7 +87,7 @@ STUDIES: dict[RunKind, Callable[[Config, Problem], Study[RunResult]]] = {
 
 @dataclass(frozen=True)
 class Listener:
-    """Who hears of a run while it goes on.
+    """Who hears of a run while it is running.
 
     Attributes
     ----------

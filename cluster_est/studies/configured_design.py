@@ -75,8 +75,8 @@ def read_design(
     for given in overrides:
         if given.partition(".")[0] not in UNHASHED:
             raise ConfigError(
-                f"{given}: must be a key of {', '.join(UNHASHED)} but is not, and a design takes "
-                "all other keys from the run; leave it out"
+                f"{given}: must be a key of {', '.join(UNHASHED)}, but is not; leave it out, "
+                "because a design takes all other keys from the run"
             )
     config_text = read_config_text(run_folder)
     resolved = read_config(run_folder / "config.toml", overrides)
@@ -126,7 +126,10 @@ def _models(
         )
     path = run_folder / "parameters.parquet"
     if not path.is_file():
-        raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
+        raise RunFolderError(
+            f"{run_folder}: must be the folder of a finished run, but is not; "
+            "finish the run with --resume"
+        )
     rows = [row for row in read_run_table(path) if row["estimated_on"] in ("train", "test")]
     values = {row["label"]: float(row["value"]) for row in rows}
     problem = _rows_for_design(build_problem(config, base, allow_code=allow_code), config)

@@ -106,8 +106,8 @@ class Fit(Study[Result]):
             check_kind(self.shooting, Shooting, "method.shooting", ProblemError)
             if self.multistart.searches > 1:
                 raise ProblemError(
-                    "method.shooting: begins once, at the start values of the parameters, but "
-                    f"multistart requests {self.multistart.searches} starts; leave one of the two "
+                    "method.shooting: starts once, at the start values of the parameters, but "
+                    f"multistart asks for {self.multistart.searches} starts; leave one of the two "
                     "out"
                 )
         self.problem.describe()

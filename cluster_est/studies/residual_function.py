@@ -155,7 +155,7 @@ class ResidualFunction:
     def _run(self, point: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
-                "residuals: must be open to be called but is closed; make it again with "
+                "residuals: must be open to be called, but is closed; create it again with "
                 "residuals(problem)"
             )
         (solution,) = self._runner.run([SearchRequest("residuals", point, self._space)])
@@ -166,11 +166,11 @@ class ResidualFunction:
             point = np.array(x, np.float64)
         except (TypeError, ValueError):
             raise ProblemError(
-                f"residuals: x must be a list of numbers but is {shown(x)}; pass one like x0"
+                f"residuals: x must be a list of numbers, but is {shown(x)}; pass a vector like x0"
             ) from None
         if point.shape != (self._space.size,):
             raise ProblemError(
-                f"residuals: x must have {self._space.size} numbers ({', '.join(self.names)}) but "
+                f"residuals: x must have {self._space.size} numbers ({', '.join(self.names)}), but "
                 f"has shape {point.shape}; pass a vector like x0"
             )
         return point
@@ -201,18 +201,19 @@ def _check(space: SearchSpace) -> None:
     problem = space.problem
     if space.size == 0:
         raise ProblemError(
-            "parameters: at least one must be free to be estimated from the training experiments, "
-            "but all are fixed or known; to simulate only, use simulate(problem)"
+            "parameters: at least one must be free, so that there is something to estimate from "
+            "the training experiments, but all are fixed or known; for a simulation without "
+            "estimation, use simulate(problem)"
         )
     if not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            f'cost.name: must be "sse" for residuals, whose squares are summed, but is '
-            f"{problem.cost.name!r}; choose that, or use fit"
+            'cost.name: must be "sse", because residuals are for a sum of squares, but is '
+            f'{problem.cost.name!r}; change it to "sse", or use fit'
         )
     check_priors(problem)
     check_observed_outputs(problem)
     if space.constraint_names:
         raise ProblemError(
-            "constraints: must be none for residuals, which cannot express them, but there is "
-            f"{space.constraint_names[0]!r}; remove them, or use fit"
+            "constraints: must be absent, because residuals cannot express them, but there is "
+            f"{space.constraint_names[0]!r}; remove the constraints, or use fit"
         )

@@ -117,7 +117,7 @@ def _fit_of(result: Result | LoopResult) -> Result:
         return result.after
     if not isinstance(result, Result):
         raise ProblemError(
-            f"result: must be what fit or close_loop returned but is {type(result).__name__}; "
-            "fit first"
+            f"result: must be the result of fit or close_loop, but is {type(result).__name__}; "
+            "call one of these first"
         )
     return result

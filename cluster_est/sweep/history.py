@@ -26,7 +26,7 @@ from workers.messages import content_hash
 ENDED = (RunStatus.DONE, RunStatus.NOT_CONVERGED, RunStatus.FAILED)
 DIGITS = 12
 """Of a hash: enough to see that something is another."""
-GO_ON = "check that there is space and that it can be written, and repeat the command"
+GO_ON = "check that there is free space and that the folder can be written, and repeat the command"
 
 
 def add_to_history(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -64,7 +64,7 @@ def _configs(value: Any) -> Any:
     found = {PurePath(path).stem: path for path in value}
     if len(found) < len(value):
         raise PydanticCustomError(
-            "paths", 'must have files of different names, or be a table: { NAME = "path" }'
+            "paths", 'must have files with different names, or be a table: { NAME = "path" }'
         )
     return found
 
@@ -89,22 +89,24 @@ def _names(value: Any) -> Any:
 class AxisSection(ConfigSection):
     """One axis of a sweep: values of a key, or sets of overrides."""
 
-    name: str = Field(min_length=1, description="name of the axis: a column of the summary")
+    name: str = Field(
+        min_length=1, description="name of the axis, which is also a column of the summary"
+    )
     key: str = Field(
-        "", description='key of the config that the values are for, such as "method.seed"'
+        "", description='key of the config to which the values belong, such as "method.seed"'
     )
     values: Annotated[dict[str, Any], BeforeValidator(_values)] = Field(
         min_length=1,
-        description="with key: a list of values, or { NAME = value }; without key: overrides, { "
-        'NAME = { "KEY" = value } }',
+        description="with key: a list of values, or { NAME = value }; without key: tables of "
+        'overrides, { NAME = { "KEY" = value } }',
     )
 
 
 class SingleRunSection(ConfigSection):
     """One run of a sweep besides the combinations."""
 
-    name: str = Field(min_length=1, description="name of the run and its folder")
-    config: str = Field("", description="name of the config; required if there are several")
+    name: str = Field(min_length=1, description="name of the run and of its folder")
+    config: str = Field("", description="name of the config; required if there are several configs")
     overrides: dict[str, Any] = Field(default_factory=dict, description='"KEY" = value')
 
 
@@ -116,7 +118,8 @@ class SweepSections(ConfigSection):
 
     configs: Annotated[dict[str, str], BeforeValidator(_configs)] = Field(
         min_length=1,
-        description='paths of configs from the sweep\'s folder, or a table: { NAME = "path" }',
+        description="paths of configs, relative to the folder of the sweep, or a table: { NAME = "
+        '"path" }',
     )
     study: Literal[STUDY_NAMES] = Field(  # type: ignore[valid-type]
         "fit", description="study that is run for each config"
@@ -125,10 +128,12 @@ class SweepSections(ConfigSection):
         default_factory=dict, description='"KEY" = value: overrides for every run'
     )
     axes: list[AxisSection] = Field(
-        default_factory=list, description="every combination of their values is a run"
+        default_factory=list,
+        description="axes of the sweep; every combination of their values is a run",
     )
     skip: list[dict[str, Annotated[list[str], BeforeValidator(_names)]]] = Field(
-        default_factory=list, description="combinations to leave out: AXIS = value or values"
+        default_factory=list,
+        description="combinations to leave out: AXIS = value, or a list of values",
     )
     runs: list[SingleRunSection] = Field(
         default_factory=list, description="single runs in addition to the combinations"
@@ -194,7 +199,10 @@ def read_sweep(path: Path) -> list[SweepRun]:
     _refuse(path, [*_wrong_names(sweep), *_wrong_overrides(sweep), *_wrong_skips(sweep)])
     count = len(sweep.configs) * math.prod(len(axis.values) for axis in sweep.axes)
     if count > MOST_RUNS:
-        _refuse(path, [f"axes: must make at most {MOST_RUNS} runs but make {count}; remove some"])
+        _refuse(
+            path,
+            [f"axes: must make at most {MOST_RUNS} runs, but make {count}; remove some values"],
+        )
     runs = [*_matrix(sweep, path.parent), *_singles(sweep, path.parent)]
     _refuse(path, [*_wrong_runs(runs)])
     return runs
@@ -239,12 +247,15 @@ def _wrong_names(sweep: SweepSections) -> Iterator[str]:
     for where, name in named:
         if not RUN_NAME.fullmatch(name):
             yield (
-                f"{where}: the name must consist of letters, digits and . _ + - and begin and end "
-                f"with a letter or digit but is {name!r}; give another one"
+                f"{where}: the name must consist of letters, digits and . _ + -, and begin and end "
+                f"with a letter or digit, but is {name!r}; choose another name"
             )
     axes = ["config", *(axis.name for axis in sweep.axes)]
     for name in sorted({name for name in axes if axes.count(name) > 1}):
-        yield f"axes.{name}: the name must be used once but is used twice; rename one"
+        yield (
+            f"axes.{name}: the name must be used only once, but is used twice; rename one of the "
+            "axes"
+        )
     for run in sweep.runs:
         if run.config and run.config not in sweep.configs:
             hint = nearest(run.config, sweep.configs)
@@ -271,42 +282,48 @@ def _wrong_overrides(sweep: SweepSections) -> Iterator[str]:
 def _wrong_override(where: str, key: str, value: Any) -> Iterator[str]:
     if key in (ONLY, DROP):
         if not (isinstance(value, list) and value and all(isinstance(v, str) for v in value)):
-            yield f"{where}.{key}: must be a list of experiments' ids but is {value!r}"
+            yield f"{where}.{key}: must be a list of ids of experiments, but is {value!r}"
     elif isinstance(value, dict) and "." not in key:
         inner = next(iter(value), "KEY")
         yield f'{where}.{key}: keys with dots must be in quotes; write "{key}.{inner}" = ...'
     elif not key.strip() or "=" in key:
-        yield f"{where}: a key must be like method.seed but is {key!r}; correct it"
+        yield f"{where}: a key must be written like method.seed, but is {key!r}; correct it"
 
 
 def _wrong_skips(sweep: SweepSections) -> Iterator[str]:
     known = {"config": [*sweep.configs]} | {axis.name: [*axis.values] for axis in sweep.axes}
     for i, skip in enumerate(sweep.skip):
         if not skip:
-            yield f"skip[{i}]: must name an axis but is empty; remove it"
+            yield f"skip[{i}]: must name an axis, but is empty; remove it"
         for axis, names in skip.items():
             if axis not in known:
-                yield f"skip[{i}].{axis}: there is no such axis{nearest(axis, known)}"
+                yield f"skip[{i}].{axis}: there is no axis of that name{nearest(axis, known)}"
                 continue
             for name in names:
                 if name not in known[axis]:
-                    yield f"skip[{i}].{axis}: there is no {name!r}{nearest(name, known[axis])}"
+                    yield (
+                        f"skip[{i}].{axis}: the axis has no value "
+                        f"{name!r}{nearest(name, known[axis])}"
+                    )
 
 
 def _wrong_runs(runs: list[SweepRun]) -> Iterator[str]:
     if not runs:
-        yield "skip: must leave some run but leaves none; remove one of its entries"
+        yield "skip: must leave at least one run, but leaves none; remove one of its entries"
     seen: dict[str, str] = {}
     for run in runs:
         if len(run.name) > LONGEST_RUN_NAME:
-            yield f"{run.name}: the name of a run must have at most {LONGEST_RUN_NAME} characters"
+            yield (
+                f"{run.name}: the name of a run must have at most {LONGEST_RUN_NAME} characters, "
+                f"but has {len(run.name)}; shorten it"
+            )
         if run.name in (SWEEP_STATE_FILE, SWEEP_SUMMARY_FILE, SWEEP_HISTORY_FILE):
-            yield f"runs.{run.name}: the name is taken by a file of the sweep; give another one"
+            yield f"runs.{run.name}: a file of the sweep has this name; choose another name"
         other = seen.get(run.name.lower())  # some file systems ignore case
         if other is not None:
             yield (
-                f"{run.name}: two runs must not have the same name, but {other} has it too; "
-                "rename one"
+                f"{run.name}: two runs must not have the same name, but {other} has it too; rename "
+                "one of them"
             )
         seen[run.name.lower()] = run.name
 
@@ -318,7 +335,9 @@ def _subset(config: Config, key: str, ids: list[str]) -> Config:
             raise ConfigError(f"{key}: there is no experiment {name!r}{nearest(name, known)}")
     kept = [e for e in config.experiments if (e.id in ids) is (key == ONLY)]
     if not kept:
-        raise ConfigError(f"{key}: must leave some experiment but leaves none; change the list")
+        raise ConfigError(
+            f"{key}: must leave at least one experiment, but leaves none; change the list"
+        )
     return config.model_copy(update={"experiments": kept})
 
 
@@ -409,12 +428,13 @@ def check_folder(out: Path) -> None:
         If it is a file, or holds something but no sweep.
     """
     if out.exists() and not out.is_dir():
-        raise RunFolderError(f"{out}: must be a folder but is a file; choose another --out")
+        raise RunFolderError(f"{out}: must be a folder, but is a file; choose another --out")
     if not out.is_dir() or (out / SWEEP_STATE_FILE).is_file():
         return
     if any(not each.name.startswith(".sweep.") for each in out.iterdir()):
         raise RunFolderError(
-            f"{out}: must be new, empty or a sweep's own but holds other files; choose another"
+            f"{out}: must be a new or empty folder, or the folder of a sweep, but holds other "
+            "files; choose another folder"
         )
 
 
@@ -468,11 +488,11 @@ def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any
 
 def _check_strange(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
-        raise RunFolderError(f"{folder}: must be a run's folder but is a file; move it away")
+        raise RunFolderError(f"{folder}: must be the folder of a run, but is a file; move it away")
     strange = {each.name for each in folder.iterdir()} - BEGUN if folder.is_dir() else set()
     if strange:
         raise RunFolderError(
-            f"{folder}: must be a run's folder but holds other files, such as "
+            f"{folder}: must be the folder of a run, but holds other files, such as "
             f"{min(strange)!r}; move them away"
         )
 

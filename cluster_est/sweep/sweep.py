@@ -162,7 +162,7 @@ def sweep(
     tell
         Called with a line for each run that ended.
     listener
-        Hears of each run while it goes on.
+        Hears of each run while it is running.
     retry_failed
         Try again what failed, even if nothing has changed.
     allow_code
@@ -183,7 +183,9 @@ def sweep(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunFolderError(f"{out}: cannot be made ({error}); choose another") from error
+        raise RunFolderError(
+            f"{out}: cannot be created ({error}); choose another folder"
+        ) from error
     with locked_by_sweep(out):
         states = {p.run.name: status(out / p.run.name, p) for p in plan}
         again = FAILED_STATES if retry_failed else ()
@@ -251,8 +253,8 @@ def _disagreements(plan: list[PlannedRun]) -> dict[str, list[str]]:
         if planned.cluster != known.cluster:
             problem = (
                 f'executor: workers and address must be the same in all runs with "{executor}", '
-                f"because they share it, but are different in {known.run.name}; set them in "
-                "[overrides]"
+                "because the runs share the executor, but they differ from those of "
+                f"{known.run.name}; set them in [overrides]"
             )
             wrong[problem].append(planned.run.name)
     return wrong

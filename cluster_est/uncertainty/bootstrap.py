@@ -111,18 +111,18 @@ class BootstrapResult:
         count, found = len(self.draws), []
         if self.failures:
             found.append(
-                f"bootstrap: {self.failures} of {count} draws have no refit, because it failed or "
-                "was stopped, and are not used; the intervals come from the other draws"
+                f"bootstrap: {self.failures} of {count} draws are not used, because their refits "
+                "failed or were stopped; the intervals come from the other draws"
             )
         if self.unfinished:
             found.append(
                 f"bootstrap: the refits of {self.unfinished} of {count} draws stopped before they "
-                "converged, and count"
+                "converged; these draws are used"
             )
         silent = [each.label for each in self.intervals if each.used < LEAST_DRAWS]
         if silent:
             found.append(
-                f"bootstrap: there is no interval of {', '.join(silent)}, because fewer than "
+                f"bootstrap: there is no interval for {', '.join(silent)}, because fewer than "
                 f"{LEAST_DRAWS} draws include it"
             )
         return tuple(found)
@@ -206,15 +206,15 @@ def check_bootstrap(space: SearchSpace) -> None:
     named = next((u.label for u in space.unknowns if u.prior is not None), "")
     if named:
         raise ProblemError(
-            f"uncertainty.bootstrap: must be 0 with priors but {named} has one, which would be "
-            "the same in every draw, so the intervals would be too narrow; use "
+            f"uncertainty.bootstrap: must be 0 with priors, but {named} has one; this prior would "
+            "be the same in every draw, so the intervals would be too narrow; use "
             "uncertainty.profiles instead"
         )
     count = len(set(space.experiments))
     if count < LEAST_EXPERIMENTS:
         raise ProblemError(
             f"uncertainty.bootstrap: needs at least {LEAST_EXPERIMENTS} training experiments to "
-            f"draw from, but there are {count}; use uncertainty.profiles instead"
+            f"draw from but has {count}; use uncertainty.profiles instead"
         )
 
 

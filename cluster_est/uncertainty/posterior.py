@@ -97,28 +97,28 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
     """
     if find_spec("emcee") is None:
         raise ProblemError(
-            "uncertainty.posterior: needs emcee, which is not installed; pip install "
-            "'cluster-est[posterior]', or take uncertainty.profiles"
+            "uncertainty.posterior: needs emcee, which is not installed; run pip install "
+            "'cluster-est[posterior]', or use uncertainty.profiles"
         )
     problem, least = space.problem, max(LEAST_WALKERS, 2 * space.size)
     if walkers and walkers < least:
         raise ProblemError(
-            f"uncertainty.walkers: must be at least {least}, twice the unknowns and no fewer than "
-            f"{LEAST_WALKERS}, but is {walkers}; 0 uses as many as are needed"
+            f"uncertainty.walkers: must be at least {least} (twice the number of unknowns, and at "
+            f"least {LEAST_WALKERS}) but is {walkers}; 0 uses as many as are needed"
         )
     if space.equality.any():
         name = space.constraint_names[int(np.argmax(space.equality))]
         raise ProblemError(
-            f"uncertainty.posterior: no draw satisfies the equality {name!r} exactly; make the "
-            "parameter depend on the others by an expression, or use uncertainty.profiles"
+            f"uncertainty.posterior: no draw satisfies the equality {name!r} exactly; define one "
+            "parameter by an expression in the others, or use uncertainty.profiles"
         )
     check_priors(problem)
     refuse_distances(problem, "uncertainty.posterior")
     if isinstance(problem.cost, SumSquared):
         need_sigmas(
             problem,
-            "uncertainty.posterior needs the standard deviation to form a likelihood (or use "
-            'cost.name = "likelihood", which estimates it)',
+            "uncertainty.posterior needs the standard deviation of the noise to form a likelihood "
+            '(or use cost.name = "likelihood", which estimates it)',
         )
     elif not isinstance(problem.cost, GaussianLikelihood):
         raise ProblemError(
@@ -130,8 +130,8 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
             parameter = unknown.parameter
             raise ProblemError(
                 f"{dotted('parameters', parameter.name)}: must have finite bounds or a prior for "
-                f"uncertainty.posterior but has the bounds [{parameter.lower:g}, "
-                f"{parameter.upper:g}] on a {parameter.scale} scale; give it one of the two"
+                f"uncertainty.posterior, but has no prior and the bounds [{parameter.lower:g}, "
+                f"{parameter.upper:g}] on a {parameter.scale} scale; add finite bounds or a prior"
             )
 
 
@@ -255,7 +255,9 @@ class EnsembleSampling(Method):
                     self.chain.add(state.coords, state.log_prob)
                     density.progress = Progress(len(self.chain.states), density.best_cost)
         except _NoDensityError:
-            return Solution(space.start, np.nan, Ending.START_FAILED, "no walker has a density")
+            return Solution(
+                space.start, np.nan, Ending.START_FAILED, "no walker has a finite density"
+            )
         best = density.best
         assert best is not None
         return Solution(best[0], best[1].cost, Ending.CONVERGED, iterations=self.steps, at=best[1])
@@ -345,15 +347,18 @@ def sample_posterior(
     seed = int(generator.integers(2**32))
     (solved,) = runner.run([SearchRequest("posterior", method, space, seed)])
     if solved.ending is Ending.START_FAILED:
-        why = f"none of {count} walkers began at a point with a density"
+        why = f"none of the {count} walkers began at a point with a finite density"
         return _without_draws(space, chain, settings, why)
     if len(chain.states) < settings.posterior:
         done = f"{len(chain.states):,} of {settings.posterior:,} steps"
-        return _without_draws(space, chain, settings, f"it was stopped after {done}")
+        return _without_draws(space, chain, settings, f"sampling was stopped after {done}")
     if not np.isfinite(chain.densities[-1]).all():
         lost = int((~np.isfinite(chain.densities[-1])).sum())
         return _without_draws(
-            space, chain, settings, f"{lost} of {count} walkers found no point with a density"
+            space,
+            chain,
+            settings,
+            f"{lost} of {count} walkers found no point with a finite density",
         )
     return _summed_up(space, solution, chain, settings)
 

@@ -138,7 +138,8 @@ class PosteriorResult:
             import arviz
         except ImportError:
             raise ProblemError(
-                "to_arviz: needs ArviZ, which is not installed; pip install 'cluster-est[arviz]'"
+                "to_arviz: needs ArviZ, which is not installed; run pip install "
+                "'cluster-est[arviz]'"
             ) from None
         draws = np.moveaxis(self.values, 1, 0)  # (walkers, steps, unknowns)
         values = {label: draws[:, :, i] for i, label in enumerate(self.labels)}
@@ -153,7 +154,10 @@ class PosteriorResult:
         if self.why_not:
             return (f"posterior: there are no draws, because {self.why_not}",)
         walkers, kept = self.values.shape[1], len(self.values)
-        said = f"posterior: {walkers} walkers of {self.steps:,} steps, {self.discarded:,} left out"
+        said = (
+            f"posterior: {walkers} walkers of {self.steps:,} steps each, of which the first "
+            f"{self.discarded:,} are discarded"
+        )
         if self.failures:
             said += f"; {self.failures:,} of {self.asked:,} points could not be simulated"
         if self.mixed:
@@ -161,20 +165,23 @@ class PosteriorResult:
             return (f"{said}; at least {least:,.0f} independent draws of each unknown",)
         worst = max(self.intervals, key=lambda each: each.autocorrelation_time)
         if not np.isfinite(self.slowest):
-            return (f"{said}; no interval, because some walker never moved: too few steps",)
+            return (
+                f"{said}; there is no interval, because some walker never moved; use more steps",
+            )
         if kept < LEAST_CHAIN_LENGTH * self.slowest:
             wanted = int(np.ceil(1.2 * LEAST_CHAIN_LENGTH * self.slowest * self.steps / kept))
             return (
-                f"{said}; no interval, because the chains are too short. Draws of {worst.label} "
-                f"are correlated over {self.slowest:.0f} of {kept:,} steps, and a chain must be "
-                f"{LEAST_CHAIN_LENGTH:.0f} times as long as that; set uncertainty.posterior to at "
-                f"least {wanted}",
+                f"{said}; there is no interval, because the chains are too short: draws of "
+                f"{worst.label} are correlated over {self.slowest:.0f} of {kept:,} steps, and a "
+                f"chain must be {LEAST_CHAIN_LENGTH:.0f} times as long as this; set "
+                f"uncertainty.posterior to at least {wanted}",
             )
         apart = max(self.intervals, key=lambda each: each.shrink_factor)
         return (
-            f"{said}; no interval, because the walkers have not mixed: they disagree on "
-            f"{apart.label} (shrink factor {apart.shrink_factor:.2f}, at most {SHRINKS:g} is "
-            "wanted), as with several minima; use more steps, or narrower bounds",
+            f"{said}; there is no interval, because the walkers have not mixed, as happens with "
+            f"several minima: they disagree on {apart.label} (shrink factor "
+            f"{apart.shrink_factor:.2f}, which should be at most {SHRINKS:g}); use more steps, or "
+            "narrower bounds",
         )
 
 

@@ -80,7 +80,7 @@ class ProfileResult:
         if self.open_lower is ProfileEnd.UNKNOWN:
             return (
                 f"{self.label} has no profile, because the residuals do not determine how far the "
-                "cost may rise; give uncertainty.rise",
+                "cost may rise; set uncertainty.rise",
             )
         found = [
             _sentence(self.label, side, end, point.value)
@@ -89,7 +89,7 @@ class ProfileResult:
         ]
         if self.better is not None:
             found.append(
-                f"{self.label}: while its profile was computed, a better minimum was found (cost "
+                f"{self.label}: the computation of its profile found a better minimum (cost "
                 f"{self.better[1]:.6g} instead of {self.cost:.6g}); fit again from there"
             )
         return tuple(found)
@@ -100,7 +100,7 @@ def _sentence(label: str, side: str, end: ProfileEnd, value: float) -> str:
         return f"{label} has no {side} limit: its profile reaches the bound {value:.6g} first"
     if end is ProfileEnd.FLAT:
         return f"{label} has no {side} limit: the cost does not rise enough up to {value:.6g}"
-    return f"{label} has no {side} limit: the refits beyond {value:.6g} failed, or were cut off"
+    return f"{label} has no {side} limit: the refits beyond {value:.6g} failed or were stopped"
 
 
 CLOSE_TO_INTERVAL_END = 1e-3

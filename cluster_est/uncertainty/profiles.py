@@ -285,13 +285,13 @@ def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
     refuse_ordinal_outputs(
         space,
         "uncertainty.profiles",
-        "give uncertainty.rise, by how much the cost may rise, or use uncertainty.bootstrap",
+        "set uncertainty.rise (how far the cost may rise), or use uncertainty.bootstrap",
     )
     if len(probe) and cost.weights(probe, space.outputs) is None:
         raise ProblemError(
-            "uncertainty.profiles: needs the scatter of the residuals to know how far the cost "
-            f"may rise, but the cost {cost.name!r} has no weights; give uncertainty.rise (3.84 "
-            "for twice a negative log-likelihood) or use uncertainty.bootstrap"
+            "uncertainty.profiles: needs the scatter of the residuals to know how far the cost may "
+            f"rise, but the cost {cost.name!r} has no weights; set uncertainty.rise (3.84 for "
+            "twice a negative log-likelihood) or use uncertainty.bootstrap"
         )
 
 

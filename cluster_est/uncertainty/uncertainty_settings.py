@@ -26,20 +26,26 @@ class UncertaintySettings(Settings):
 
     profiles: ProfiledNames = Field(
         (),
-        description='labels ("k", "x0[exp5]") or parameters to compute likelihood profiles for; '
-        '"shared": all that several experiments determine; "all" or true: all; a profile '
-        "takes about ten fits that begin close to their minimum",
+        description=(
+            'labels ("k", "x0[exp5]") or parameters to compute likelihood profiles for; "shared": '
+            'all that several experiments determine; "all" or true: all; a profile takes about '
+            "ten fits, each from a start close to its minimum"
+        ),
     )
     bootstrap: Count = Field(
         0,
-        description="number of draws of the experiments, each with a refit: at least 200, or 1000 "
-        "for fewer than 10 experiments; 0: none",
+        description=(
+            "number of draws of the experiments, each with a refit: at least 200, or 1000 with "
+            "fewer than 10 experiments; 0: none"
+        ),
     )
     posterior: Count = Field(
         0,
-        description="steps of each walker that draws from the posterior, usually some thousands: "
-        "the chains must be 50 times as long as their autocorrelation time; 0: none; needs "
-        "cluster-est[posterior]",
+        description=(
+            "number of steps of each walker that samples the posterior, usually several thousand: "
+            "the chains must be 50 times as long as their autocorrelation time; 0: none; needs "
+            "cluster-est[posterior]"
+        ),
     )
     walkers: Count = Field(
         0, description="number of walkers; 0: four times the number of unknowns, but at least 16"
@@ -49,15 +55,19 @@ class UncertaintySettings(Settings):
     )
     steps: Positive = Field(
         4,
-        description="smallest number of refits on each side of a profile; more refits give a "
-        "smoother curve; the ends are accurate to a thousandth in any case",
+        description=(
+            "smallest number of refits on each side of a profile; more refits give a smoother "
+            "curve; the ends of the interval are accurate to a thousandth in any case"
+        ),
     )
     max_steps: int = Field(
         20,
         ge=2,
         le=LARGEST_INTEGER,
-        description="largest number of refits on a side; a profile that has not risen by then is "
-        "called flat",
+        description=(
+            "largest number of refits on one side of a profile; a profile that has not risen by "
+            "then is called flat"
+        ),
     )
     rise: Finite = Field(
         0.0,
@@ -66,7 +76,7 @@ class UncertaintySettings(Settings):
         "weights, such as sae; 0: the rise is computed from the residuals",
     )
     at_once: Positive = Field(
-        16, description="refits that run at the same time, for any number of workers"
+        16, description="number of refits that run at the same time, whatever the number of workers"
     )
 
     @property

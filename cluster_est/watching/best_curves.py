@@ -39,8 +39,8 @@ MOST_SECONDS_TO_REPEAT = 5.0
 """That a simulation of the run takes on average, up to which one is repeated for who looks."""
 
 NOT_YET = (
-    "There are no curves yet: a fit has them from its first point on, a closed loop after a round "
-    "that has added something."
+    "There are no curves yet: a fit shows curves from its first point on, and a search for missing "
+    "effects shows them after the first round that adds an effect."
 )
 
 
@@ -82,7 +82,7 @@ class ExperimentCurves:
 
 
 class CurveSource:
-    """Gives the curves of a run while it goes on and afterwards.
+    """Gives the curves of a run while it is running and afterwards.
 
     Parameters
     ----------
@@ -124,8 +124,11 @@ class CurveSource:
                 if best is None:
                     return ExperimentCurves(said=NOT_YET)
                 if seconds > MOST_SECONDS_TO_REPEAT:
-                    said = f"A simulation takes about {duration(seconds)}, too long to repeat it"
-                    return ExperimentCurves(said=f"{said} here; curves come with the result.")
+                    said = (
+                        f"A simulation takes about {duration(seconds)}, which is too long to "
+                        "repeat it"
+                    )
+                    return ExperimentCurves(said=f"{said} here; the curves come with the result.")
                 return self._simulator(facts).curves(best, wanted)
         except (ClusterEstError, OSError) as error:
             return ExperimentCurves(said=f"The curves cannot be shown: {error}")
@@ -149,8 +152,8 @@ class CurveSource:
             resources = build_resources(config)
             if resources.instances is not None:
                 raise RunFolderError(
-                    "the licence of the FMU limits its instances (executor.instances), and the "
-                    "run uses all of them; curves come with the result"
+                    "the licence of the FMU limits its instances (executor.instances), and the run "
+                    "uses all of them; the curves come with the result"
                 )
             self._simulated = _BestSimulator(problem, resources.limits)
             self._of = str(facts.get("started"))
@@ -170,7 +173,7 @@ class CurveSource:
         fine = read_run_columns(finer) if finer.is_file() else None
         found = recorded_curves({"residuals": table, "trajectories": fine}, experiment)
         ended = "At the estimates of this run." if is_ended(facts) else "As found so far."
-        before = "the declared model, fitted" if facts.get("verdict") is not None else "the start"
+        before = "the fitted declared model" if facts.get("verdict") is not None else "the start"
         kept = tuple(_thinned(name, c) for (_, name), c in found.items() if c.has_times)
         return ExperimentCurves(names, experiment, kept, f"{ended} Before: {before}.")
 
@@ -196,7 +199,8 @@ class _BestSimulator:
         """
         if set(best.values) != self._labels:
             raise RunFolderError(
-                "the search has other unknowns than the config; curves come with the result"
+                "the unknowns of the search differ from those of the config; the curves come "
+                "with the result"
             )
         if self._best is None or best.values != self._best.values:
             self._best, self._known = best, {}
@@ -207,7 +211,7 @@ class _BestSimulator:
         ]  # fmt: skip
         names = tuple(problem.experiments[e].id for e in shown)
         if not shown:
-            return ExperimentCurves(said="No experiment has all of its values yet.")
+            return ExperimentCurves(said="No experiment has values for all of its unknowns yet.")
         e = shown[names.index(wanted) if wanted in names else 0]
         if e not in self._known:
             self._known[e] = self._simulate(e, best, names)
@@ -224,7 +228,7 @@ class _BestSimulator:
         curves = tuple(
             _thinned(o.variable, _curve_at(o, outcome)) for o in experiment.outputs if len(o.times)
         )
-        said = "Simulated for this page, at the best point so far."
+        said = "Simulated for this page at the best point so far."
         return ExperimentCurves(names, experiment.id, curves, said)
 
     def close(self) -> None:

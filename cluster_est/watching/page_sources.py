@@ -139,7 +139,9 @@ class RunPages:
         path = self._run(run).path
         status = str(read_facts(path)["status"])
         if status != RunStatus.RUNNING or left_alone(path, status):
-            raise RunFolderError(f"{path}: must be a run in progress to be stopped but is {status}")
+            raise RunFolderError(
+                f"{path}: must be a run in progress to be stopped, but is {status}"
+            )
         file = path / STOP
         with writing(file, ELSEWHERE):
             file.touch()

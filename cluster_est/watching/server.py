@@ -33,7 +33,7 @@ SECONDS_TO_NOTICE = 0.05
 """That the server takes to see that it is closed."""
 SECONDS_OF_REQUEST = 30.0
 """After which a connection that says nothing is closed."""
-REFUSED = "open this page with the address that the command printed, on this machine"
+REFUSED = "open this page on this machine, with the address that the command printed"
 
 
 class LivePage:
@@ -75,7 +75,8 @@ class LivePage:
             self._server = _Server((LOOPBACK, port), self._pages, token)
         except OSError as error:
             raise RunFolderError(
-                f"--port: {port} cannot be used ({error.strerror}); choose another, or leave it out"
+                f"--port: {port} cannot be used ({error.strerror}); choose another port, or "
+                "leave --port out"
             ) from error
         self.host, self.port = self._server.server_address[:2]
         self.address = f"http://{LOOPBACK}:{self.port}/?token={token}"

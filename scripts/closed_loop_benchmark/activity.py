@@ -36,6 +36,7 @@ WATCHED = {
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
     LoopPart.DROP,
+    LoopPart.SWITCH_WIDTHS,
     LoopPart.FUNCTIONS_OF_TIME,
     LoopPart.BOUNDED,
     *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
@@ -130,6 +131,9 @@ def noted_parts() -> Iterator[PartNotes]:
 def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
     """By module or class, what stands in the place of its own."""
     watched, part = notes.watched, LoopPart
+    widths = watched(
+        part.SWITCH_WIDTHS, moves.release_widths, lambda left, *given: left is not given[2]
+    )
     siblings = watched(part.SIBLINGS, refit_siblings, lambda found, *_: bool(found))
     return {
         gates: {
@@ -140,6 +144,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
         },
         moves: {
             "refit_siblings": siblings,
+            "release_widths": widths,
             "distinct": watched(part.BEAM, moves.distinct, lambda kept, *_: bool(kept)),
         },
         argument_functions: {"refit_siblings": siblings},
@@ -147,6 +152,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
             "choose": notes.chosen,
             "drop": watched(part.DROP, moves.drop, lambda left, _, begun, given: left is not given),
+            "release_widths": widths,
             "curve_instead": watched(
                 part.FREE_DYNAMICS,
                 watched(

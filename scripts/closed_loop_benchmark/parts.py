@@ -47,15 +47,24 @@ If the run of the whole loop shows that the part changed nothing, the run withou
 only the simulations of the part are missing. "Where it acts" counts the other cases.
 
 A case is right if every effect has one of its names or the structure is the same model. If nothing
-is missing, it is right if no effect is added. If the library cannot express the effect, it is
-right if a free curve follows held-out data to within 1.5 times the error of the truth. "Lost" cases
-are right only with the part, "won" cases only without it; p is from the exact McNemar test.
-"False names" are named effects that are not among the true ones, with the part and without it.
-Held-out errors (median and largest) and simulations (geometric mean) are those without the part
-over those with it.
+is missing, a case is right if no effect is added. If the library cannot express the effect, a case
+is right if a free curve follows the held-out data with at most 1.5 times the error of the true
+model. A case is "lost" if it is right with the part and wrong without it, and "won" if it is the
+other way round. p is from the exact McNemar test. "False names" counts the named effects that are
+not true effects, with the part and without it. Held-out errors (median and largest) and simulations
+(geometric mean) are those without the part over those with it.
 
 All systems may be used for tuning. Pairs and triples are drawn at random from the effects of the
 benchmark, in addition to those that it lists.
+"""
+
+DELETED = """\
+These parts were deleted together. They are: other structures of the same size that were extended
+beside the best one ("beam"; what is left of it extends single effects to pairs if none is
+accepted), fits of an accepted structure from other starts ("restarts"), a second look at the
+declared model ("local minimum"), an effect replaced by another one ("replace") or two replaced by
+one ("merge two"), and one effect or a free curve instead of all others even if these explain the
+data ("merge"; if they leave more than noise, this is still tried).
 """
 
 
@@ -131,8 +140,11 @@ def _false_names(score: Score) -> int:
     return max(named - right, 0)
 
 
-def parts_page(runs: Runs) -> str:
-    """Write the page: a row a part, and the cases that are right with or without one alone."""
+def parts_page(runs: Runs, deleted: Runs | None = None) -> str:
+    """Write the page: a row a part, and the cases that are right with or without one alone.
+
+    `deleted` are runs of a search that had other parts, which the package no longer has.
+    """
     (_, whole), *others = runs.items()
     kinds = Counter(score.kind for score in whole.values() if not score.error)
     cases = ", ".join(f"{count} of the kind {kind}" for kind, count in kinds.most_common())
@@ -151,6 +163,8 @@ def parts_page(runs: Runs) -> str:
         "## Cases that are right with or without a part alone",
         markdown(head, differing),
     ]
+    if deleted:
+        parts += ["## Parts that were deleted", DELETED, paired(deleted)]
     return "\n\n".join(part.rstrip() for part in parts) + "\n"
 
 

@@ -23,26 +23,28 @@ SAME = 1e-3
 
 INTRODUCTION = """# The league of measured cases
 
-`scripts/league.py` writes this page from its runs, each with default settings on one core.
+`scripts/league.py` writes this page from its runs. Each run uses the default settings on one core.
 
-Each case is a public measurement with a base model from the textbook. This model lacks one effect,
-which the textbook adds. `cluster-est close-loop` does not know this effect. The base model and the
+Each case has a public data set and a base model from a textbook. The base model lacks one effect,
+which the textbook's full model contains. `cluster-est close-loop` searches for missing effects
+without knowing this effect. On this page, such a search is called a loop. The base model and the
 textbook's model are fitted to the same data. Errors are root mean squares over all samples of all
-outputs and records. Held-out data do not take part in any choice. If a held-out record begins at an
-unknown state, that state is fitted to the record in each of the three models.
+outputs and records. Held-out data are not used for any choice. If the initial state of a held-out
+record is unknown, it is fitted to the record for each of the three models.
 
-The splits, base models and effects were chosen with all data in view, so the difference between
-base model and textbook is optimistic. Anything may be tuned on these cases: a good score proves
-nothing about others.
+The splits, base models and effects were chosen with knowledge of all data. For this reason, the
+difference between the base model and the textbook's model is optimistic. Any setting may have been
+tuned on these cases, so a good score proves nothing about other cases.
 
-If the config gives no sigma, the loop weights several outputs by its estimate of the noise. The two
-fits give them equal weights. So even a loop that adds nothing may have other errors than the base
-model; "made worse" counts only loops that have added something.
+If the config gives no `sigma`, the loop weights several outputs by its estimate of their noise,
+whereas the two fits give them equal weights. Therefore, even a loop that adds nothing may have
+other errors than the base model. In the following table, a loop counts as having increased the
+held-out error only if it has added an effect.
 
-By definition a loop adds nothing unless it halves the error beyond the noise, in training and held
-out. That is three quarters of the sum of squares. Otherwise it says `unexplained` and names the
-best candidate as a hint. If the textbook's own effect does not halve the error, such a result is
-not a failure.
+By definition, a loop adds effects only if they remove at least half of the error above the noise,
+both on training and on held-out data. This is three quarters of the sum of squares. Otherwise, the
+verdict is `unexplained`, and the loop names the best candidate as a hint. If the textbook's own
+effect does not halve the error, the verdict `unexplained` is not a failure.
 """
 
 
@@ -122,10 +124,11 @@ def _paths(found: Sequence[CaseFigures]) -> str:
     if not rows:
         return ""
     text = (
-        "Held-out errors over the noise of the structures that each search accepted, in their "
-        "order, and of its answer. Nothing is chosen by them. The answer's error is "
-        f"{number(median(ratios))} times the least of its path at the median, and "
-        f"{number(max(ratios))} times at worst."
+        "The table shows the held-out errors, divided by the noise, of the structures that each "
+        "search accepted, in their order, and of its answer. These errors are not used for any "
+        "choice. The error of the answer is "
+        f"{number(median(ratios))} times the smallest error along its path (median), and at most "
+        f"{number(max(ratios))} times."
     )
     head = ["case", "accepted structures", "answer", "answer / least"]
     return f"## Held-out errors along the path\n\n{text}\n\n{table(head, rows)}"
@@ -154,22 +157,28 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
     """How many cases are as they should be, of those with a loop and a textbook fit."""
     ended = [each for each in found if each.loop and each.base and each.textbook]
     questions: tuple[tuple[str, Callable[[CaseFigures], bool]], ...] = (
-        (f"held-out error at most {NEAR_TEXTBOOK} times the textbook's", near_textbook),
         (
-            "the effect of the textbook was named, or an alias of it",
+            f"the held-out error is at most {NEAR_TEXTBOOK} times that of the textbook's model",
+            near_textbook,
+        ),
+        (
+            "the loop named the textbook's effect or an alias of it",
             lambda each: named(each, known),
         ),
-        ("held-out error made worse", made_worse),
-        (f"more than {NEAR_NOISE} times the noise left, and the verdict reports it", says_so),
-        (f"more than {NEAR_NOISE} times the noise left, but the verdict is `found`", overclaims),
+        ("the loop increased the held-out error", made_worse),
+        (f"more than {NEAR_NOISE} times the noise remains, and the verdict says so", says_so),
+        (f"more than {NEAR_NOISE} times the noise remains, but the verdict is `found`", overclaims),
         ("the textbook's effect halves the held-out error", textbook_halves),
-        ("the textbook's effect halves it, but the verdict is `none`", overlooked),
+        (
+            "the textbook's effect halves the held-out error, but the verdict is `none`",
+            overlooked,
+        ),
     )
     rows = [[text, f"{sum(map(question, ended))} of {len(ended)}"] for text, question in questions]
     text = table(["", "cases"], rows)
     missing = [each.case.name for each in found if each not in ended]
     if missing:
-        text += f"\n\nNot all runs have ended in: {', '.join(missing)}."
+        text += f"\n\nSome runs have not ended for these cases: {', '.join(missing)}."
     return text
 
 
@@ -228,12 +237,19 @@ def _all_cases(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]
         noise = number(each.noise)
         row = [anchor, unit, base, loop, textbook, noise, verdict, str(rightness)]
         rows.append([*row, *_cost(each.loop.figures if each.loop else None)])
-    return f"Errors as training / held out.\n\n{table([*head, 'simulations', 's'], rows)}"
+    text = (
+        "The columns base, loop and textbook show the errors on training / held-out data. The "
+        "column named says how the best name that the loop gave was judged."
+    )
+    return f"{text}\n\n{table([*head, 'simulations', 's'], rows)}"
 
 
 def _case(each: CaseFigures, known: CaseJudgements, pictures: Mapping[str, str]) -> str:
     case = each.case
-    parts = [f"## {case.name}", f"{case.title} The textbook adds: {case.lacking}"]
+    parts = [
+        f"## {case.name}",
+        f"{case.title} The textbook adds: {case.lacking[:1].lower()}{case.lacking[1:]}",
+    ]
     if known.remark:
         parts.append(known.remark)
     if each.loop:
@@ -244,9 +260,9 @@ def _case(each: CaseFigures, known: CaseJudgements, pictures: Mapping[str, str])
             for judged in [known.of(effect.name)]
         ]
         if rows:
-            parts.append(table(["added", "equation", "is", "why"], rows))
+            parts.append(table(["added effect", "equation", "judgement", "reason"], rows))
     else:
-        parts.append("The closed loop has no result here.")
+        parts.append("The search for missing effects has no result for this case.")
     if case.name in pictures:
         parts.append(f"![{case.title}]({pictures[case.name]})")
     return "\n\n".join(parts)
@@ -255,17 +271,17 @@ def _case(each: CaseFigures, known: CaseJudgements, pictures: Mapping[str, str])
 def _said(each: CaseFigures) -> str:
     """The verdict, and what is left of the held-out error."""
     assert each.loop is not None
-    text = f"Verdict of the closed loop: `{each.loop.verdict}`"
-    text += "." if each.loop.effects else "; nothing was added."
+    text = f"Verdict of the search for missing effects: `{each.loop.verdict}`"
+    text += "." if each.loop.effects else ". No effect was added."
     loop = each.loop.figures
-    others = (("base model's", each.base), ("textbook's", each.textbook))
-    shares = [f"{loop.test / run.test:.2f} times the {name}" for name, run in others if run]
+    others = (("base model", each.base), ("textbook's model", each.textbook))
+    shares = [f"{loop.test / run.test:.2f} times that of the {name}" for name, run in others if run]
     if shares:
         text += f" The held-out error is {' and '.join(shares)}."
     if math.isfinite(each.noise):
         times = [f"{error / each.noise:.3g}" for error in (loop.train, loop.test)]
         text += (
-            f" The remaining error is {times[0]} times the noise in training "
+            f" The remaining error is {times[0]} times the noise on training data "
             f"and {times[1]} times the noise on held-out data."
         )
     return text

@@ -174,7 +174,7 @@ def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one():
     assert "local" in here
     for name in here:
         with pytest.raises(
-            ExecutorError, match=rf'separate processes but executor.name is "{name}"; choose'
+            ExecutorError, match=rf'separate processes, but executor.name is "{name}"; set'
         ):
             open_with_reset(problem, Resources(executor=name))
 

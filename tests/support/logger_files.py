@@ -135,7 +135,7 @@ case("csv with a mark", written("\ufeff" + table()))
 case("German csv", written(table(**DE)))
 case("German text with tabs", written(table(**(DE | {"sep": "\t"})), ".txt"))
 case("bars between cells", written(table(sep="|"), ".txt"))
-case("blanks between cells", written(table(sep="   "), ".txt"), notes="blanks separate")
+case("blanks between cells", written(table(sep="   "), ".txt"), notes="separated by blanks")
 case(
     "aligned with blanks",
     written(
@@ -159,11 +159,15 @@ case(
         table([f"23,4;{comma(t)}" for t in T], **(DE | {"head": ("T [°C]", *GERMAN)})),
         encoding="cp1252",
     ),
-    notes="cp1252, a guess",
+    notes="read as cp1252, which is a guess; if it is wrong",
 )
 case("UTF-16 of Excel", written(table(**(DE | {"sep": "\t"})), ".txt", "utf-16"))
 case("UTF-16, large end first", written("\ufeff" + table(**DE), encoding="utf-16-be"))
-case("UTF-16 without a mark", written(table(**DE), encoding="utf-16-le"), notes="UTF-16-LE without")
+case(
+    "UTF-16 without a mark",
+    written(table(**DE), encoding="utf-16-le"),
+    notes="no byte order mark and is read as UTF-16-LE, which is a guess",
+)
 case(
     "UTF-16 said to be so", written(table(**DE), encoding="utf-16-le"), read=("encoding=utf-16-le",)
 )
@@ -174,7 +178,7 @@ case(
             table(head=("time", "F", "y", "note"), after="," + "n" * 6000)[:-10] + "Geräte\n"
         ).encode("cp1252")
     ),
-    notes="cp1252, a guess",
+    notes="read as cp1252, which is a guess; if it is wrong",
 )
 case(
     "an encoding that cannot be guessed",
@@ -184,7 +188,7 @@ case(
 
 # text: what stands above and between
 PREAMBLE = "Logger XY 3000\nSerial number;12345\nDate;2026-01-01\n"
-case("lines above", written(PREAMBLE + table(**DE)), notes="header is row 4.*skip_rows = 3")
+case("lines above", written(PREAMBLE + table(**DE)), notes="header is in row 4.*skip_rows = 3")
 case("lines above, said", written(PREAMBLE + table(**DE)), read=("skip_rows=3",))
 case(
     "lines above with as many cells",
@@ -254,24 +258,28 @@ case(
     ),
     notes="no header",
 )
-case("a last line that is cut off", written(table() + "1.2,0."), refused="3, but row 62 has 2; cor")
+case(
+    "a last line that is cut off",
+    written(table() + "1.2,0."),
+    refused="must have 3 cells.*but row 62 has 2; cor",
+)
 case(
     "a first value that is no number",
     written(table().replace("\n0,0,", "\n0,OL,")),
-    refused="column 'F', row 2: must be a number but is 'OL'",
+    refused="column 'F', row 2: must be a number, but is 'OL'",
 )
 case("MDF that is called otherwise", written(b"MDF     4.10" * 9, ".dat"), refused="rename it")
 case(
     "two tables below each other",
     written("a,b,c\n1,2,3\n4,5,6\n7,8,9\n\n" + table()),
-    refused="headers in rows 1 and 6; say which with skip_rows = 0 or skip_rows = 5",
+    refused="headers in rows 1 and 6; choose one with skip_rows = 0 or skip_rows = 5",
 )
 case(
     "two tables below each other, said",
     written("a,b,c\n1,2,3\n4,5,6\n7,8,9\n\n" + table()),
     read=("skip_rows=5",),
 )
-case("a header that is too short", written(table(after=",7")), refused="header, 3, but row 2 has 4")
+case("a header that is too short", written(table(after=",7")), refused="header, but row 2 has 4")
 
 # numbers
 BIG = np.round(1e4 + 1e3 * F, 1)
@@ -316,7 +324,7 @@ AMBIGUOUS = table(
 case(
     "thousands or decimals",
     written(AMBIGUOUS),
-    refused=r'row \d+: .* may have decimals.*decimal = "\."',
+    refused=r'row \d+: .* may be a decimal.*decimal = "\."',
 )
 case(
     "thousands, said",
@@ -348,7 +356,7 @@ case("milliseconds", written(table([plain(1e3 * t) for t in T], head=("time_ms",
 case(
     "ISO",
     written(table(stamps("%Y-%m-%dT%H:%M:%S.{ms}"))),
-    notes="since the first row, 2026-01-01 10",
+    notes="from the first row, 2026-01-01 10",
 )
 case("ISO with a blank and a zone", written(table(stamps("%Y-%m-%d %H:%M:%S,{us}+01:00"), sep=";")))
 case(
@@ -380,9 +388,9 @@ case(
     t=30000.0 * np.arange(ROWS),
 )
 case(
-    "time of day over midnight",
+    "time of day past midnight",
     written(table(stamps("%H:%M:%S.{ms}", start=dt.datetime(2026, 1, 1, 23, 59, 59, 500000)))),
-    notes="over midnight",
+    notes="past midnight",
 )
 case(
     "hours and minutes or minutes and seconds",
@@ -426,7 +434,7 @@ WINTER = [
 ]
 LOCAL = [when.astimezone(ZoneInfo("Europe/Berlin")) for when in WINTER]
 NAIVE = table([w.strftime("%Y-%m-%d %H:%M:%S") for w in LOCAL])
-case("clocks that go back", written(NAIVE), refused="summer time begins.*time_zone = ")
+case("clocks that go back", written(NAIVE), refused="summer time.*time_zone = ")
 case(
     "clocks that go back, in Berlin",
     written(NAIVE),
@@ -444,7 +452,7 @@ SPRING = [
     .strftime("%Y-%m-%d %H:%M:%S")
     for i in range(ROWS)
 ]
-case("clocks that go forward", written(table(SPRING)), refused="summer time begins.*time_zone = ")
+case("clocks that go forward", written(table(SPRING)), refused="summer time.*time_zone = ")
 case(
     "clocks that go forward, in Berlin",
     written(table(SPRING)),
@@ -574,7 +582,7 @@ case(
     lambda folder: _mdf(folder, 2),
     y=Y[::2],
     ty=T[::2],
-    notes="2 different clocks",
+    notes="2 different time channels",
 )
 case("TDMS with increments", lambda folder: _tdms(folder, "wave"))
 case("TDMS with a channel of times", lambda folder: _tdms(folder, "channel"))
@@ -610,7 +618,7 @@ TWO = {
 case(
     "xlsx with two tables",
     lambda folder: _xlsx(folder, TWO),
-    refused='which sheet.*add sheet = "A"',
+    refused='several sheets.*as in sheet = "A"',
 )
 case("xlsx with two tables, said", lambda folder: _xlsx(folder, TWO), read=("sheet=B",))
 case("xls", written(b"\xd0\xcf\x11\xe0" * 99, ".xls"), refused="must end in one of .csv")

@@ -70,14 +70,22 @@ MIDNIGHT = START.replace(hour=0)
 case("Excel's line on the separator", written("sep=;\n" + table(**DE)))
 case("the same behind a mark", written("\ufeffsep=;\r\n" + table(**DE, end="\r\n")))
 SUMMARY = "\nMaximum,3,0.09\nSamples: 60\n"
-case("a summary below", text(LINE, below=SUMMARY), notes="below its table are left out: 2 lines")
-case("an end mark", text(LINE, below="*** end of file ***\n"), notes="left out: 1 line")
-case("zeros where the power failed", text(LINE, below="\0" * 512), notes="left out: zeros")
+case("a summary below", text(LINE, below=SUMMARY), notes="below its table are ignored: 2 lines")
+case(
+    "an end mark",
+    text(LINE, below="*** end of file ***\n"),
+    notes="below its table are ignored: 1 line",
+)
+case(
+    "zeros where the power failed",
+    text(LINE, below="\0" * 512),
+    notes="below its table are ignored: zeros",
+)
 case("an end mark behind blanks", text("{t} {f} {y}", "time F y\n", ".prn", "END\n"))
 case(
     "the header once more",
     written(table().replace("\n0.4,", "\ntime,F,y\n0.4,", 1)),
-    said="has several, with headers in rows 1 and 22; say which with skip_rows",
+    said="has several, with headers in rows 1 and 22; choose one with skip_rows",
 )
 case("lines of an old Macintosh", written(table(end="\r")))
 case("blocks of gnuplot", written("# time F y\n" + rows("{t} {f} {y}\n"), ".dat"))
@@ -93,7 +101,7 @@ case("commas in the header", text(LINE, f'time,"{FORCE}",y\n'), map=(f"F={FORCE}
 case(
     "the same name twice",
     text("{t},{f},{y},{y}", "time,F,y,y\n"),
-    said="column 'y' must be there once but 2 columns have that name; rename them",
+    said="column 'y' must occur once, but 2 columns have that name; rename them",
 )
 CAMPBELL = (
     '"TOA5","st","CR1000","1","std","CPU:a.CR1","2","t"\n"TIMESTAMP","RECORD","F","y"\n'
@@ -133,7 +141,7 @@ for word in ("OVER", "OL", "1.#INF"):
     case(
         f"{word} in a cell",
         text("{t},{f},{c}", c=cells),
-        said=f"row 9: must be a number but is '{word}'",
+        said=f"row 9: must be a number, but is '{word}'",
     )
 PUSHED = (F > 0.0) * 1.0
 case("on and off", text("{t},{c},{y}", c=["ON" if f else "Off" for f in PUSHED]), f=PUSHED)
@@ -175,17 +183,17 @@ case(
     "ticks of Windows",
     at_times(str(FILE_TIME + 10**7 * i) for i in range(ROWS)),
     t=np.arange(60.0),
-    notes="ticks of 100 ns since 1601",
+    notes="units of 100 ns since 1601",
 )
 case(
     "days of Excel",
     at_times((f"{46023.4 + t / 86400:.12f}" for t in T), "Date"),
-    said='time = "Date" # instead, if that is it',
+    said='time = "Date" # use this instead if it is the time',
 )
 case(
     "several rows in a second",
     at_times(stamps("%Y-%m-%d %H:%M:%S")),
-    said="its clock is coarser than its rows: give sample_time",
+    said="many rows have the same time, so give sample_time",
 )
 case(
     "newest first",
@@ -210,7 +218,7 @@ case("a page of a spreadsheet", text("<td>{t}</td>", "<html>\n"), said="is XML o
 case("a zip that is called csv", lambda folder: _zip(folder), said="is a .xlsx file; rename it")
 CAN = "date Thu Jan 1 2026\nbase hex  timestamps absolute\n"
 case("a CAN trace", text(" {t} 1 12x Rx d 8 0A", CAN, ".asc"), said="must have columns of numbers")
-case("bytes", written(bytes(range(256)) * 8, ".dat"), said="must say its encoding")
+case("bytes", written(bytes(range(256)) * 8, ".dat"), said="must have a known encoding")
 case("packed tabs", lambda folder: _packed(folder))
 case("a parquet of decimals and words", lambda folder: _parquet(folder))
 NUMBERS = [(float(t), float(f), float(y)) for t, f, y in zip(T, F, Y, strict=True)]
@@ -229,9 +237,9 @@ SPARSE = mat({"time": T, "F": F, "y": csc_array(Y[:, None])})
 case("MAT with a sparse column", SPARSE, said="column 'y' must be a vector.*is a sparse matrix")
 COMPLEX = mat({"time": T, "F": F, "y": Y + 1j})
 case("MAT with complex numbers", COMPLEX, said="column 'y' must be a vector.*complex")
-SERIES = r"type there: y_s = struct\('Time', y.Time, 'Data', squeeze\(y.Data\)\)"
+SERIES = r"run this in MATLAB: y_s = struct\('Time', y.Time, 'Data', squeeze\(y.Data\)\)"
 case("MAT with a timeseries", lambda folder: _with_object(folder, b"timeseries"), said=SERIES)
-TIMETABLE = r"type there: writetimetable\(y, 'y.csv'\)"
+TIMETABLE = r"run this in MATLAB: writetimetable\(y, 'y.csv'\)"
 case("MAT with a timetable", lambda folder: _with_object(folder, b"timetable"), said=TIMETABLE)
 case("MAT 7.3 with a timetable", lambda folder: _mat73(folder), said=TIMETABLE)
 

@@ -210,8 +210,8 @@ class _Code:
         """Return the register of an element of an array that equations read."""
         if index >= self._sizes[array]:
             raise EffectError(
-                f"effects: {symbol} is number {index + 1} of {array}, which has only "
-                f"{self._sizes[array]} entries; give all of them"
+                f"effects: {symbol} is entry {index + 1} of {array}, which has only "
+                f"{self._sizes[array]} entries; give a value for each"
             )
         return self._first[array] + index
 
@@ -255,7 +255,8 @@ class _Code:
         total = first_temporary + self._temporaries
         if total > MOST_REGISTERS:
             raise EffectError(
-                f"effects: must need at most {MOST_REGISTERS} numbers but need {total}; use fewer"
+                f"effects: must need at most {MOST_REGISTERS} numbers, but need {total}; use fewer "
+                "effects or shorter equations"
             )
 
         def numbered(register: int) -> int:
@@ -325,7 +326,9 @@ class _Writer:
         for kind, name in _FUNCTIONS.items():
             if isinstance(value, kind):
                 return self._emit(name, arguments[0])
-        raise EffectError(f"effects: an equation has {value}, which simulations cannot compute")
+        raise EffectError(
+            f"effects: an equation contains {value}, which simulations cannot compute; remove it"
+        )
 
     def _product(self, value: sp.Mul) -> int:
         """Write the factors, then one division by what stands below the line."""
@@ -389,7 +392,8 @@ class _Writer:
             return reduce(lambda a, b: self._emit(name, a, b), written)
         if type(condition) not in _COMPARISONS:
             raise EffectError(
-                f"effects: an equation asks for {condition}, which is not a comparison"
+                f"effects: an equation uses {condition} as a condition, which is not a comparison; "
+                "write a comparison such as x > 0"
             )
         name, swapped = _COMPARISONS[type(condition)]
         left, right = (self.write(side) for side in condition.args)

@@ -129,18 +129,20 @@ def missing(kind: str, platform: str) -> str:
     """Say in a sentence that a library is not there, and what to do."""
     there = sorted({p for p in PLATFORMS if carried_path(kind, p).is_file()})
     start = (
-        f"{BINARIES}: must have the library {kind} of this version for {platform} but has it for "
+        f"{BINARIES}: must have the library {kind} of this version for {platform}, but has it for "
         f"{', '.join(there) or 'no platform'}"
     )
     if platform == this_platform():
         return (
-            f"{start}, and there is no C compiler to build it with: install gcc (Debian: apt "
-            "install gcc; Alpine: apk add gcc musl-dev) or the package ziglang, or name a compiler "
-            f"in CC; wheels of cluster-est carry it for {', '.join(PLATFORMS)}"
+            f"{start}, and there is no C compiler to build it. Install gcc (Debian: apt install "
+            "gcc; Alpine: apk add gcc musl-dev) or the package ziglang, or name a compiler in CC; "
+            f"wheels of cluster-est contain the library for {', '.join(PLATFORMS)}"
         )
     if platform in PLATFORMS:
-        return f"{start}; install a wheel of cluster-est, or the package ziglang to build it with"
-    return f"{start}; wheels of cluster-est carry it for {', '.join(PLATFORMS)} alone"
+        return (
+            f"{start}; install a wheel of cluster-est, or the package ziglang to build the library"
+        )
+    return f"{start}; wheels of cluster-est contain the library only for {', '.join(PLATFORMS)}"
 
 
 def compile_to(target: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS) -> None:
@@ -232,8 +234,8 @@ def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ModelError(
-            f"{HERE}: its C cannot be built: {command[0]} must compile it but says "
-            f"{done.stderr.strip()[-500:]}; correct the source if you changed it, else name "
+            f"{HERE}: the C source cannot be built: the compiler {command[0]} says "
+            f"{done.stderr.strip()[-500:]}; if you changed the source, correct it, otherwise name "
             "another C compiler in CC, or install a wheel of cluster-est"
         )
 

@@ -16,22 +16,21 @@ MESSAGES = {
     INITIALISATION: "the FMU could not be initialised",
     STEP: "the FMU could not continue",
     OUTPUT: "the FMU could not compute its outputs",
-    STEP_TOO_SMALL: "no step was short enough for the tolerance",
-    TOO_MANY_STEPS: "the limit on the steps between two times in the data, model.max_steps, "
-    "was reached",
+    STEP_TOO_SMALL: "even the shortest possible step did not meet the tolerance",
+    TOO_MANY_STEPS: "the number of steps between two times in the data exceeded model.max_steps",
     NOT_FINITE: "an output became infinite or not a number",
     EVENT: "the FMU could not handle an event",
     TERMINATED: "the FMU ended the simulation by itself",
     LINEARISATION: "the FMU could not compute a point close to its trajectory",
-    CHATTERING: "events followed each other endlessly",
+    CHATTERING: "events followed each other without end",
     DISCARDED: "the FMU could not continue",
-    PENDING: "the FMU computes in the background, which is not supported",
-    SENSITIVITIES: "the FMU could not give its directional derivatives",
+    PENDING: "the FMU computes asynchronously, which is not supported",
+    SENSITIVITIES: "the FMU could not provide its directional derivatives",
     HAS_EVENTS: "an event occurred, and sensitivities cannot be continued across it",
-    ENDED_EARLY: "the sum of squares had already exceeded the bound",
+    ENDED_EARLY: "the sum of squares had already exceeded the limit",
     NO_MEMORY: "there was not enough memory",
-    WRONG_SIZES: "the FMU, its effects and the experiment do not have the same numbers of states "
-    "and inputs, which is a fault of cluster-est",
+    WRONG_SIZES: "the FMU, its effects and the experiment have different numbers of states and "
+    "inputs, which is a fault of cluster-est",
 }
 
 SUGGEST_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)

@@ -282,7 +282,7 @@ def load(path: str) -> Any:
         library = ctypes.CDLL(path)
     except OSError as error:
         raise ModelError(
-            f"{path}: must be a library for this machine but cannot be loaded ({error}); install "
+            f"{path}: must be a library for this machine, but cannot be loaded ({error}); install "
             "cluster-est again"
         ) from error
     for name, (returns, arguments) in _SIGNATURES.items():
@@ -324,7 +324,7 @@ class LoadedProgram:
         self.address: int | None = self._library.core_program(code, len(code), byref(wrong))
         if not self.address:
             said = (wrong.value or b"").decode()
-            raise ModelError(f"effects: must be byte code of this version but are {said}")
+            raise ModelError(f"effects: must be byte code of this version, but are {said}")
 
     def __del__(self) -> None:
         if getattr(self, "address", None):

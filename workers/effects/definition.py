@@ -303,16 +303,16 @@ def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
     """Return the form that an effect names, or that of its own equation."""
     if effect.reaction and (site.kind != "pair" or not effect.equation):
         raise EffectError(
-            f"{where}: reaction: must be given with an equation at a pair, but site is "
-            f"{effect.site!r} and {'form is ' + repr(effect.form) if effect.form else 'no pair'}; "
-            "leave it out"
+            f"{where}: reaction: is only for an equation at a pair, but site is {effect.site!r} "
+            f"and {'form is ' + repr(effect.form) if effect.form else 'no form is given'}; leave "
+            "it out"
         )
     if not effect.equation:
         return form(site.kind, effect.form, where)
     if site.kind == "pair" and not effect.reaction:
         raise EffectError(
-            f"{where}: reaction: must be the equation that is added to der({site.other}), as "
-            f"equation is added to der({site.target}), but is missing; add reaction"
+            f"{where}: reaction: is missing; add the equation that is added to der({site.other}), "
+            f"as equation is added to der({site.target})"
         )
     return _own_form(effect, site)
 
@@ -360,8 +360,9 @@ def _placeholders(
     given = effect.variables or unnamed_variables(chosen, site)
     if len(given) != chosen.variables:
         raise EffectError(
-            f"{where}: variables: {chosen.name} needs {chosen.variables} but has {len(given)}; "
-            f"name states or inputs of the FMU, like {list(variables)[:3]}"
+            f"{where}: variables: {chosen.name} needs {chosen.variables} variable"
+            f"{'' if chosen.variables == 1 else 's'}, but was given {len(given)}; name states or "
+            f"inputs of the FMU, such as {list(variables)[:3]}"
         )
     read = [_variable(text, variables, f"{where}: variables") for text in given]
     return dict(zip(("v", "w"), read, strict=False))
@@ -372,7 +373,9 @@ def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.E
     names = split_variable(text, variables)
     if not names:
         parse(text, variables, where)  # says which name is unknown
-        raise EffectError(f"{where}: must be a name or the difference of two but is {text!r}")
+        raise EffectError(
+            f"{where}: must be a name or the difference of two names, but is {text!r}"
+        )
     first, *second = (variables[name] for name in names)
     return first - second[0] if second else first
 

@@ -65,7 +65,7 @@ def _are_numbers(arguments: tuple[Any, ...]) -> bool:
     terms = [sp.sympify(argument) for argument in arguments]
     for term in terms:
         if not isinstance(term, sp.Expr) or term.is_extended_real is False:
-            raise ValueError(f"{term} is no real number")
+            raise ValueError(f"{term} is not a real number")
     return all(term.is_number for term in terms)
 
 
@@ -132,7 +132,9 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
         If it is no equation, or has a name or function that it may not have.
     """
     if len(text) > MAX_LENGTH:
-        raise EffectError(f"{where}: must be at most {MAX_LENGTH} characters but is {len(text)}")
+        raise EffectError(
+            f"{where}: must have at most {MAX_LENGTH} characters, but has {len(text)}; shorten it"
+        )
     try:
         with _PARSING:
             tree = ast.parse(text.replace("^", "**").strip(), mode="eval")
@@ -140,7 +142,7 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
         raise _too_deep(where, text) from None
     except (SyntaxError, ValueError) as error:
         said = getattr(error, "msg", error)
-        raise EffectError(f"{where}: must be an equation but {text!r} is not ({said})") from None
+        raise EffectError(f"{where}: must be an equation, but {text!r} is not ({said})") from None
     return sp.sympify(_ExpressionReader(symbols, where, text).read(tree.body))
 
 
@@ -151,19 +153,19 @@ def _shown(text: str) -> str:
 
 def _too_deep(where: str, text: str) -> EffectError:
     return EffectError(
-        f"{where}: may have calls, signs, powers and parentheses at most {MAX_DEPTH} deep in each "
-        f"other but {_shown(text)} has more; write it with fewer, or as several"
+        f"{where}: calls, signs, powers and parentheses may be nested at most {MAX_DEPTH} deep, "
+        f"but are nested deeper in {_shown(text)}; simplify it, or write several equations"
     )
 
 
 def _power(base: Any, exponent: Any) -> Any:
     if isinstance(exponent, sp.Number) and base.is_number and abs(exponent) > MAX_EXPONENT:
-        raise OverflowError(f"an exponent must be at most {MAX_EXPONENT} but is {exponent}")
+        raise OverflowError(f"an exponent must be at most {MAX_EXPONENT}, but is {exponent}")
     if isinstance(base, sp.Number) and isinstance(exponent, sp.Number) and base.is_finite and base:
         digits = abs(float(exponent * sp.log(sp.Abs(base), 10).evalf()))
         if digits > MOST_DIGITS:
             raise OverflowError(
-                f"a power must have at most {MOST_DIGITS} digits but one has {digits:.3g}"
+                f"a power must have at most {MOST_DIGITS} digits, but one has {digits:.3g}"
             )
     return base**exponent
 
@@ -176,7 +178,7 @@ def _bounded(value: Any) -> Any:
         and abs(value.evalf()) > LARGEST_FUNCTION_VALUE
     ):
         raise OverflowError(
-            f"a number must be at most {LARGEST_FUNCTION_VALUE:g} in size but one is more"
+            f"a number must be at most {LARGEST_FUNCTION_VALUE:g} in magnitude, but one is larger"
         )
     return value
 
@@ -247,8 +249,8 @@ class _ExpressionReader:
     def _refused(self, node: ast.expr) -> EffectError:
         part = ast.get_source_segment(self._text, node) or self._text
         return EffectError(
-            f"{self._where}: must be made of numbers, variables, + - * / ^, comparisons and "
-            f"{', '.join(EQUATION_FUNCTIONS)} but has {part!r}"
+            f"{self._where}: must consist of numbers, variables, + - * / ^, comparisons and "
+            f"{', '.join(EQUATION_FUNCTIONS)}, but has {part!r}"
         )
 
     def _compute(self, operation: Callable[..., Any], *values: Any) -> Any:
@@ -256,14 +258,14 @@ class _ExpressionReader:
             return operation(*values)
         except TypeError:
             raise EffectError(
-                f"{self._where}: must not compute with a comparison but {self._text!r} does; "
-                "where(condition, yes, no) makes a number of it"
+                f"{self._where}: must not compute with a comparison, but {self._text!r} does; "
+                "where(condition, yes, no) turns a comparison into a number"
             ) from None
         except OverflowError as error:
             raise self._out_of_range(error) from None
 
     def _out_of_range(self, error: OverflowError) -> EffectError:
-        return EffectError(f"{self._where}: {error} in {_shown(self._text)}; change it")
+        return EffectError(f"{self._where}: {error} in {_shown(self._text)}; correct it")
 
     def _call(self, name: str, arguments: list[ast.expr]) -> Any:
         function = self._look_up(name, EQUATION_FUNCTIONS, "function")
@@ -272,12 +274,14 @@ class _ExpressionReader:
         except OverflowError as error:
             raise self._out_of_range(error) from None
         except (TypeError, ValueError) as error:
-            raise EffectError(f"{self._where}: {name}(...) cannot be used so ({error})") from None
+            raise EffectError(
+                f"{self._where}: {name}(...) cannot be used in this way ({error})"
+            ) from None
 
     def _look_up(self, name: str, known: Mapping[str, Any], what: str) -> Any:
         if name not in known:
             raise EffectError(
-                f"{self._where}: {self._text!r} has the unknown {what} {name!r}"
-                f"{nearest(name, known)}"
+                f"{self._where}: {self._text!r} contains the unknown {what} "
+                f"{name!r}{nearest(name, known)}"
             )
         return known[name]

@@ -66,11 +66,11 @@ def parse_site(text: str, where: str) -> EffectSite:
             if len(names) == 2 and all(names) and names[0] != names[1]:
                 return EffectSite(kind, *names)
             raise EffectError(
-                f'{where}: must be "pair STATE,STATE" with two different states but is {text!r}'
+                f'{where}: must be "pair STATE,STATE" with two different states, but is {text!r}'
             )
     raise EffectError(
         f'{where}: must be "der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
-        f'"parameter NAME" but is {text!r}'
+        f'"parameter NAME", but is {text!r}'
     )
 
 
@@ -127,18 +127,18 @@ def check_site(
     if site.at_rates and interface == "co_simulation":
         raise EffectError(
             f"{where}: {site} cannot be used, because a co-simulation FMU gives no access to its "
-            'states; use model.interface = "model_exchange" or a site at an input, output or '
-            "parameter"
+            'states; set model.interface = "model_exchange", or choose a site at an input, output '
+            "or parameter"
         )
     if site.kind == "parameter" and site.target in description.variables:
         raise EffectError(
             f"{where}: {site} cannot be used, because {description.file} does not allow "
-            f"{site.target!r} to change during a simulation (its variability is not tunable)"
+            f"{site.target!r} to change during a simulation (its variability is not tunable); "
+            "choose another site"
         )
     known = [s.target for s in offered if s.kind == missing[0].kind]
     raise EffectError(
-        f"{where}: {description.file} has no such site {missing[0]}"
-        f"{nearest(missing[0].target, known)}"
+        f"{where}: {description.file} has no site {missing[0]}{nearest(missing[0].target, known)}"
     )
 
 

@@ -115,8 +115,8 @@ def _unpack_anew(name: str, opened: zipfile.ZipFile, target: Path) -> None:
 
 def _unwritable(name: str, folder: Path, error: OSError) -> ModelError:
     return ModelError(
-        f"{name}: cannot be unpacked into {folder} ({error.strerror}); make room there, or set "
-        "CLUSTER_EST_CACHE to a folder that can be written"
+        f"{name}: cannot be unpacked into {folder} ({error.strerror}); free some space there, or "
+        "set CLUSTER_EST_CACHE to a folder that can be written to"
     )
 
 
@@ -174,8 +174,8 @@ def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) ->
     except OSError as error:
         if not target.is_dir():  # no other process was faster
             raise ModelError(
-                f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); make "
-                "room there, or export the FMU again"
+                f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); free some "
+                "space there, or export the FMU again"
             ) from error
     except DAMAGED as error:
         raise ModelError(f"{name}: cannot be unpacked ({error}); export it again") from error
@@ -210,8 +210,9 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
     unpacked = sum(entry.file_size for entry in entries)
     if unpacked > MAX_UNPACKED_BYTES or unpacked > max(HARMLESS_BYTES, MAX_RATIO * len(archive)):
         raise ModelError(
-            f"{name}: would unpack to {unpacked / 2**20:.0f} MiB from {len(archive) / 2**20:.1f} "
-            "MiB, which is not usual for an FMU; nothing was unpacked"
+            f"{name}: nothing was unpacked, because it would grow from {len(archive) / 2**20:.1f} "
+            f"to {unpacked / 2**20:.0f} MiB, which is unusual for an FMU; check where the file "
+            "comes from"
         )
     return opened
 
@@ -219,12 +220,12 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
 def _check_entry(name: str, entry: zipfile.ZipInfo) -> None:
     if not entry.filename:
         raise ModelError(
-            f"{name}: every entry in it must have a name but one has none; export it again"
+            f"{name}: every entry in the FMU must have a name, but one has none; export it again"
         )
     path = PurePosixPath(entry.filename.replace("\\", "/"))
     leaves = path.is_absolute() or ".." in path.parts or ":" in entry.filename.split("/")[0]
     if leaves or stat.S_ISLNK(entry.external_attr >> 16):
         raise ModelError(
-            f"{name}: the path {entry.filename!r} in it must stay inside the FMU's folder but "
-            "leaves it; nothing was unpacked, do not trust this file"
+            f"{name}: the path {entry.filename!r} in it must stay inside the FMU's folder, but "
+            "leaves it. Nothing was unpacked; do not trust this file"
         )

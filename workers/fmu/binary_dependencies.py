@@ -91,17 +91,17 @@ def load_failure(binary: Path, system_message: str = "") -> str | None:
     here = platform.machine().lower()
     if elf.machine != {"amd64": "x86_64", "arm64": "aarch64"}.get(here, here):
         return (
-            f"its library {binary.name} is for {elf.machine} processors, but this machine is of "
-            f"{here}; export it for this machine"
+            f"its library {binary.name} is for {elf.machine} processors, but this machine has an "
+            f"{here} processor; export it for this machine"
         )
     missing = missing_libraries(binary)
     if missing:
         beside = [name for name in missing if (binary.parent / name).is_file()]
         if len(beside) == len(missing):
             return (
-                f"its library {binary.name} needs {_listed(missing)}, which are in its folder, "
-                f"where the system does not look; set LD_LIBRARY_PATH to {binary.parent} and "
-                "start again"
+                f"its library {binary.name} needs {_listed(missing)}, which are in the library's "
+                f"folder, where the system does not look; set LD_LIBRARY_PATH to {binary.parent} "
+                "and start cluster-est again"
             )
         absent = [name for name in missing if name not in beside]
         plural = "libraries" if len(absent) > 1 else "library"
@@ -111,8 +111,8 @@ def load_failure(binary: Path, system_message: str = "") -> str | None:
     found = _TOO_NEW.search(system_message)
     if found:
         return (
-            f"it was built for a newer system, with {found.group(1)}, than this machine has; "
-            "export it on an older one, or use a newer one here"
+            f"it was built for a newer system than this machine has (it needs {found.group(1)}); "
+            "export it on an older system, or use a newer system here"
         )
     return None
 

@@ -126,7 +126,9 @@ class ModelDescription:
             first = next((n for n in self.variables if n.startswith(f"{name}[")), None)
             ending = nearest(name, self.variables)
             if first is not None:
-                ending = f" but an array of that name; name one of its elements, such as {first!r}"
+                ending = (
+                    f", but has an array of that name; name one of its elements, such as {first!r}"
+                )
             raise ModelError(f"{where}: {self.file} has no variable {name!r}{ending}")
         return self.variables[name]
 
@@ -162,9 +164,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if close:
         return f"; did you mean {lowered[close[0]]!r}?"
     if not names:
-        return "; it has none at all"
+        return "; there are none to choose from"
     listed = ", ".join(repr(k) for k in names[:12])
-    return f"; it has {listed}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+    return f"; available: {listed}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
 
 
 def describe(
@@ -207,7 +209,7 @@ def describe(
     guid = root.get("instantiationToken") or root.get("guid")
     if not guid:
         key = "guid" if version == "2.0" else "instantiationToken"
-        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
+        raise ModelError(f"{file}: its {XML} must have a {key}, but has none; export it again")
     return ModelDescription(
         file=file,
         version=version,
@@ -244,14 +246,14 @@ def describe_model(model: Model) -> ModelDescription:
 def _content(file: str, archive_file: zipfile.ZipFile) -> bytes:
     if XML not in archive_file.namelist():
         raise ModelError(
-            f"{file}: must hold a {XML} but does not, so it is not an FMU; export the model as an "
-            "FMU"
+            f"{file}: must contain a {XML}, but does not, so it is not an FMU; export the model as "
+            "an FMU"
         )
     try:
         return archive_file.read(XML)
     except (*DAMAGED, OSError) as error:
         raise ModelError(
-            f"{file}: its {XML} must be XML but cannot be read ({first_line(error)}); export it "
+            f"{file}: its {XML} must be XML, but cannot be read ({first_line(error)}); export it "
             "again"
         ) from error
 
@@ -259,7 +261,7 @@ def _content(file: str, archive_file: zipfile.ZipFile) -> bytes:
 def _version(root: Element, notes: ReadingNotes) -> Version:
     if root.tag != "fmiModelDescription":
         raise ModelError(
-            f"{notes.file}: its {XML} must describe a model, as <fmiModelDescription>, but "
+            f"{notes.file}: its {XML} must describe a model, with <fmiModelDescription>, but "
             f"describes <{root.tag}>; export the model as an FMU"
         )
     text = " ".join((root.get("fmiVersion") or "").split())
@@ -267,12 +269,12 @@ def _version(root: Element, notes: ReadingNotes) -> Version:
     if known is None:
         has = f"is of {text[:40]}" if text else "names no version"
         raise ModelError(
-            f"{notes.file}: must be an FMU of FMI version 2.0 or 3.0 but {has}; export it as one "
-            "of them"
+            f"{notes.file}: must be an FMU of FMI version 2.0 or 3.0, but {has}; export it in one "
+            "of these versions"
         )
     version: Version = "2.0" if known.group(1) == "2.0" else "3.0"
     if known.group(1) != version:
-        notes.add(f"it is of FMI {text} and read as {version}")
+        notes.add(f"its FMI version is {text}, which is read as {version}")
     return version
 
 

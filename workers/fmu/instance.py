@@ -172,7 +172,7 @@ class FunctionTable:
         absent = [used[field] for field, at in found.items() if not at and field not in _OPTIONAL]
         if absent:
             raise ModelError(
-                f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
+                f"{self._model.name}: its binary must have the function fmi{version}{absent[0]}, "
                 "but does not; export the FMU again"
             )
         if exchange and version == 3 and not self._model.structure:
@@ -208,7 +208,7 @@ class FunctionTable:
             if count.value != expected:
                 raise ModelError(
                     f"{self._model.name}: its binary must have the {expected} {what} of its "
-                    f"modelDescription.xml but has {count.value}; export it again"
+                    f"modelDescription.xml, but has {count.value}; export it again"
                 )
 
     def call(self, name: str, *arguments: Any) -> None:
@@ -415,15 +415,20 @@ class FmuInstance:
         if cause is not None:
             return f"{self._model.name}: cannot be loaded: {cause}"
         log = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
-        advice = "Check that it runs on this machine and that everything it needs is installed"
+        advice = (
+            "Check that the FMU runs on this machine and that everything that it needs is installed"
+        )
         if self._description.offer(self._model.interface).needs_execution_tool:
-            advice += f"; it needs {self._description.tool or 'the tool that exported it'} here"
+            advice += (
+                f"; it needs {self._description.tool or 'the tool that exported it'} on this "
+                "machine"
+            )
         lacking = re.search(r"undefined symbol: (fmi\w+)", str(error))
         if lacking:
             advice = (
-                f"Its library lacks {lacking[1]}, which the standard demands of every FMU: export "
-                "it with another version of its tool"
+                f"The FMU's library lacks {lacking[1]}, which every FMU must have: export it with "
+                "another version of its tool"
             )
         if any(is_about_licence(line) for line in (*self.log, str(error))):
-            advice = "Get the licence that it needs, or export it so that it needs none"
+            advice = "Get the licence that the FMU needs, or export it so that it needs none"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"

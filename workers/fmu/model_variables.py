@@ -46,14 +46,14 @@ class ArraySizes:
             if size is None:
                 size = self._known.get(_reference(dimension))
             if size is None or size < 0:
-                notes.add("arrays whose size cannot be found are left out", raw.name)
+                notes.add("arrays of unknown size are left out", raw.name)
                 return None
             sizes.append(size)
         if sizes:
             self._left -= math.prod(sizes)
         if sizes and self._left < 0:
             self._left += math.prod(sizes)
-            notes.add(f"arrays beyond {MAX_ELEMENTS} elements in all are left out", raw.name)
+            notes.add(f"arrays are left out after {MAX_ELEMENTS} elements in all", raw.name)
             return None
         return tuple(sizes)
 
@@ -73,7 +73,10 @@ def elements_of(
         return (replace(scalar, start=starts[0]) if starts else scalar,)
     size = math.prod(shape)
     if len(starts) not in (0, 1, size):
-        notes.add("start values that are not as many as the array's elements are ignored", raw.name)
+        notes.add(
+            "start values are ignored if their number differs from that of the array's elements",
+            raw.name,
+        )
     if len(starts) != size:
         starts = [starts[0] if len(starts) == 1 else None] * size
     places = product(*(range(1, n + 1) for n in shape))
@@ -162,7 +165,10 @@ def read_variables(
         names_by_key.setdefault(raw.key, tuple(v.name for v in elements))
         for variable in (*elements, *(a for n in aliases if n for a in renamed(elements, n))):
             if found.setdefault(variable.name, variable) is not variable:
-                notes.add("a name that occurs twice refers to the first variable", variable.name)
+                notes.add(
+                    "a name that occurs twice refers to the first variable of that name",
+                    variable.name,
+                )
     _add_derivatives(raws, found, names_by_key, notes)
     _add_aliases(found, version)
     return DeclaredVariables(found, names_by_key)
@@ -177,7 +183,7 @@ def _scalar(
     wanted = value.get("declaredType")
     declared = types.get(wanted or "", NO_ELEMENT)
     if wanted and declared is NO_ELEMENT:
-        notes.add("types that are declared nowhere are ignored", name)
+        notes.add("types that are not declared anywhere are ignored", name)
 
     def attribute(key: str) -> str | None:
         return value.get(key, declared.get(key))
@@ -197,7 +203,7 @@ def _scalar(
     low, high = _ordered(limit("min"), limit("max"), name, notes)
     nominal = limit("nominal")
     if attribute("nominal") is not None and not nominal:
-        notes.add("a nominal value that is 0 or no number counts as 1", name)
+        notes.add("a nominal value that is 0 or not a number counts as 1", name)
     return ModelVariable(
         name=name,
         reference=raw.reference,
@@ -219,7 +225,7 @@ def _ordered(
     low: float | None, high: float | None, name: str, notes: ReadingNotes
 ) -> tuple[float | None, float | None]:
     if low is not None and high is not None and low > high:
-        notes.add("min and max are ignored where min is above max", name)
+        notes.add("min and max are ignored if min is above max", name)
         return None, None
     return low, high
 
@@ -228,7 +234,7 @@ def _one_of(own: Element, key: str, known: tuple[str, ...], notes: ReadingNotes)
     text = own.get(key)
     if text is None or text in known:
         return text
-    notes.add(f"attributes {key} that FMI does not know are ignored", own.get("name"))
+    notes.add(f"attributes {key}, which FMI does not know, are ignored", own.get("name"))
     return None
 
 
@@ -258,7 +264,10 @@ def _add_derivatives(
         states = names_by_key.get(key, ()) if key is not None else ()
         rates = names_by_key[raw.key]
         if len(states) != len(rates):
-            notes.add("attributes derivative that name no fitting variable are ignored", raw.name)
+            notes.add(
+                "attributes derivative are ignored if they do not name a suitable variable",
+                raw.name,
+            )
             continue
         for rate, state in zip(rates, states, strict=True):
             found[rate] = replace(found[rate], derivative_of=state)

@@ -52,12 +52,12 @@ def missing_binary(
     if path in held:
         return None
     there = platforms_in(held)
-    must = f"must have a binary for this machine's platform ({wanted}) but"
+    must = f"must have a binary for this machine's platform ({wanted}), but"
     if wanted in there:
-        return f"must have the binary {path} but does not; export the FMU again"
+        return f"must have the binary {path}, but does not; export the FMU again"
     if there:
         small = [p for p in there if p in _BITS_32]
-        note = f" ({' and '.join(small)}: 32 bits, which a 64-bit program cannot load)"
+        note = f" ({' and '.join(small)}: built for 32 bits, which a 64-bit program cannot load)"
         return f"{must} has one for {', '.join(there)}{note if small else ''}; " + (
             f"export it for {wanted}" + (", or compile its sources" if has_sources else "")
         )

@@ -45,13 +45,14 @@ def set_environment_here(model: Model) -> None:
             continue
         if known is not None:
             raise ModelError(
-                f"model.environment.{name}: must be {value!r}, but in this process, which "
-                f"simulates too, it is {known!r} already; {elsewhere}, or unset it before"
+                f"model.environment.{name}: must be {value!r}, but is already {known!r} in this "
+                f"process, which also runs simulations; {elsewhere}, or unset it before the start"
             )
         if name.startswith(READ_AT_START):
             raise ModelError(
-                f"model.environment.{name}: must be set before a process starts, but this "
-                f"process, which simulates too, has started; {elsewhere}, or set it before"
+                f"model.environment.{name}: must be set before a process starts, but this process, "
+                f"which also runs simulations, has already started; {elsewhere}, or set it before "
+                "the start"
             )
     os.environ.update(model.environment)
 
@@ -71,9 +72,9 @@ def enter_working_folder(model: Model) -> None:
         os.chdir(folder)
     except OSError as error:
         raise ModelError(
-            f"model.working_folder: must be a folder in {model.name}, such as "
-            f'"resources", but is {model.working_folder!r} ({error.strerror}); look into the FMU, '
-            "which is a zip file"
+            f'model.working_folder: must be a folder in {model.name}, such as "resources", but is '
+            f"{model.working_folder!r} ({error.strerror}); look for its folders in the FMU, which "
+            "is a zip file"
         ) from error
 
 

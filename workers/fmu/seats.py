@@ -80,8 +80,8 @@ def program_seats(count: int) -> Seats:
     left = tuple(number for number in range(count) if (program, number) not in _lost)
     if not left:
         raise ModelError(
-            f"executor.instances: {count} are allowed at once, and all of them had a fatal error "
-            "in this process; they cannot be freed, so end the program and start it again"
+            f"executor.instances: allows {count} instances, but all of them had a fatal error in "
+            "this process and cannot be freed; end the program and start it again"
         )
     return Seats(program, left)
 
@@ -113,7 +113,7 @@ def _take(seats: Seats, file: str) -> tuple[str, int]:
         if time.monotonic() > end:
             raise ModelError(
                 f"{file}: executor.instances allows no more instances, and none of the others was "
-                f"freed within {WAIT_SECONDS:.0f} s; look for a process that hangs in it, or "
+                f"freed within {WAIT_SECONDS:.0f} s; look for a process in which the FMU hangs, or "
                 "raise executor.instances"
             )
         time.sleep(SEAT_POLL_SECONDS)
@@ -131,8 +131,9 @@ def _locked(key: tuple[str, int], file: str) -> BaseFileLock | None:
         return None
     except (OSError, NotImplementedError) as error:
         raise ModelError(
-            f"{file}: executor.instances needs files that can be locked in {folder.parent}, but "
-            f"there are none ({error}); set TMPDIR to a folder on a disk of this machine"
+            f"{file}: executor.instances needs a folder whose files can be locked, but "
+            f"{folder.parent} is not one ({error}); set TMPDIR to a folder on a disk of this "
+            "machine"
         ) from error
     return held
 
@@ -140,9 +141,9 @@ def _locked(key: tuple[str, int], file: str) -> BaseFileLock | None:
 def _all_here(seats: Seats, file: str) -> str:
     if has_lost(seats):
         return (
-            f"{file}: this FMU's instance must be freed before this process can make another one "
-            "(executor.instances), but after a fatal error it cannot be freed; set executor.name "
-            '= "processes" or "ray", which end the process instead'
+            f"{file}: this process must free its instance of the FMU before it can make another "
+            "one (executor.instances), but after a fatal error it cannot; set executor.name = "
+            '"processes" or "ray", where the process is ended instead'
         )
     return (
         f"{file}: this process already has as many instances as executor.instances allows; raise "

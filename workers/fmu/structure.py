@@ -76,14 +76,17 @@ def read_structure(
     section = root.find("ModelStructure")
     if section is None:
         section = Element("ModelStructure")
-        notes.add("it has no <ModelStructure>: states are those that a variable is derivative of")
+        notes.add(
+            "it has no <ModelStructure>, so its states are the variables of which another "
+            "variable is the derivative"
+        )
         rates = tuple(v.name for v in declared.variables.values() if v.derivative_of is not None)
         derivatives = [_StructureUnknown(section, (name,)) for name in rates]
     else:
         derivatives = list(_unknowns(section, version, "derivative", declared))
     outputs = list(_unknowns(section, version, "output", declared))
     if any(u.names is None for u in outputs):
-        notes.add("outputs in its <ModelStructure> that name no variable are ignored")
+        notes.add("outputs in its <ModelStructure> that do not name a variable are ignored")
     indicators, indicator_fault = _indicators(root, section, version, declared)
     states, state_fault = _states(derivatives, declared, notes)
     return ModelStructure(
@@ -120,12 +123,19 @@ def _states(
             inner = name[4:-1] if name.startswith("der(") else ""
             if state is None and inner in declared.variables:
                 state = inner
-                notes.add("derivatives that name no state are taken for those in brackets", name)
+                notes.add(
+                    "derivatives that do not name their state are assigned to the state in "
+                    "their brackets",
+                    name,
+                )
             if state is None:
-                return (), f"its state derivative {name!r} does not say of which variable it is one"
+                return (), (
+                    f"its state derivative {name!r} does not say which variable it is the "
+                    "derivative of"
+                )
             states.append(state)
     if len(set(states)) < len(states):
-        return (), "it lists the derivative of one state twice"
+        return (), "it lists the derivative of a state twice"
     return tuple(states), ""
 
 
@@ -136,7 +146,7 @@ def _indicators(
         text = root.get("numberOfEventIndicators", "0")
         count = whole(text)
         if count is None or not 0 <= count < 2**31:
-            return 0, f"its number of event indicators is {text[:40]!r}"
+            return 0, f"its number of event indicators is {text[:40]!r}, which is not usable"
         return count, ""
     found = list(_unknowns(section, version, "indicator", declared))
     if any(u.names is None for u in found):
@@ -212,7 +222,9 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
         identifier = element.get("modelIdentifier")
         # It names a file, so it must not name a folder
         if not identifier or not set(identifier).isdisjoint("/\\"):
-            refused.append((tag, f"has {identifier!r} for a plain modelIdentifier"))
+            refused.append(
+                (tag, f"has the modelIdentifier {identifier!r}, which is not a plain name")
+            )
         elif fault and tag == "ModelExchange":
             refused.append((tag, f"cannot be used, because {fault}"))
         else:
@@ -220,13 +232,13 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
     if not found:
         raise _none_usable(root, file, refused)
     for tag, why in refused:
-        notes.add(f"its interface {_SAID[tag]} {why}, and is left out")
+        notes.add(f"its {_SAID[tag]} interface {why}, and is left out")
     for offer in found:
         if offer.needs_execution_tool:
             named = " ".join((root.get("generationTool") or "").split())
             tool = named or "the tool that exported it"
             said = "co-simulation" if offer.interface == "co_simulation" else "model exchange"
-            notes.add(f"its interface {said} needs {tool} on this machine")
+            notes.add(f"its {said} interface needs {tool} on this machine")
     return tuple(found)
 
 
@@ -234,15 +246,15 @@ def _none_usable(root: Element, file: str, refused: list[tuple[str, str]]) -> Mo
     """Explain why no interface can be used."""
     if not refused:
         alone = root.find("ScheduledExecution") is not None
-        offers = "scheduled execution alone" if alone else "neither"
+        offers = "only scheduled execution" if alone else "neither"
         return ModelError(
-            f"{file}: must offer model exchange or co-simulation but offers {offers}; export it "
-            "with one of them"
+            f"{file}: must offer model exchange or co-simulation, but offers {offers}; export it "
+            "with one of the two"
         )
     tag, why = refused[-1]
     return ModelError(
-        f"{file}: its {XML} must describe an interface that can be used, but {_SAID[tag]} "
-        f"{why}; export it again"
+        f"{file}: its {XML} must describe a usable interface, but {_SAID[tag]} {why}; export it "
+        "again"
     )
 
 

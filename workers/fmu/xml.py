@@ -77,7 +77,7 @@ def parse(file: str, content: bytes, notes: ReadingNotes) -> Element:
         )
         return tree
     raise ModelError(
-        f"{file}: its {XML} must be XML but cannot be read ({first_line(first)}); export it again"
+        f"{file}: its {XML} must be XML, but cannot be read ({first_line(first)}); export it again"
     ) from first
 
 
@@ -87,7 +87,7 @@ def _tree(file: str, content: bytes, encoding: str | None) -> Element:
 
     def refuse(*_: object) -> None:
         raise ModelError(
-            f"{file}: its {XML} must not declare entities but does, which is not safe to read; "
+            f"{file}: its {XML} must not declare entities, but does, which is not safe to read; "
             "remove its DOCTYPE, or export it again"
         )
 
@@ -204,11 +204,11 @@ def raw_variables(root: Element, version: Version, notes: ReadingNotes) -> list[
         name, reference = own.get("name"), whole(own.get("valueReference"))
         label = name or f"variable {position}"
         if value is None or value.tag not in types:
-            notes.add("variables without a type of FMI are left out", label)
+            notes.add("variables whose type FMI does not know are left out", label)
         elif not name:
             notes.add("variables without a name are left out", label)
         elif reference is None or not 0 <= reference < 2**32:
-            notes.add("variables without a valueReference of 32 bits are left out", label)
+            notes.add("variables without a valueReference of at most 32 bits are left out", label)
         else:
             key = position if version == "2.0" else reference
             found.append(RawVariable(own, value, value.tag, key, name, reference))
@@ -258,7 +258,7 @@ def read_units(root: Element, notes: ReadingNotes) -> dict[str, UnitDefinition]:
         powers = [whole(base.get(key, "0")) for key in BASE_UNITS]
         offset = number(base.get("offset"), notes, "offset", name)
         if None in powers:
-            notes.add("units with powers that are not integers count only as names", name)
+            notes.add("units with powers that are not integers are used only as names", name)
             continue
         found.setdefault(name, UnitDefinition(tuple(p or 0 for p in powers), offset or 0.0))
     return found

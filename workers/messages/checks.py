@@ -64,17 +64,17 @@ def check_number(
     """
     kind = "a whole number" if whole else "a number"
     if not is_number(value) or (whole and not isinstance(value, numbers.Integral)):
-        raise error(f"{where}: must be {kind} but is {shown(value)}")
+        raise error(f"{where}: must be {kind}, but is {shown(value)}")
     if not is_finite(value):
-        usual = " of a usual size" if isinstance(value, int) else ""
-        raise error(f"{where}: must be a finite number{usual} but is {_plain(value)}")
+        usual = " that fits into a double" if isinstance(value, int) else ""
+        raise error(f"{where}: must be a finite number{usual}, but is {_plain(value)}")
     number = float(value)  # type: ignore[arg-type]
     if not number > above:
-        raise error(f"{where}: must be greater than {above:g} but is {number:g}")
+        raise error(f"{where}: must be greater than {above:g}, but is {number:g}")
     if not number >= least:
-        raise error(f"{where}: must be at least {least:g} but is {number:g}")
+        raise error(f"{where}: must be at least {least:g}, but is {number:g}")
     if not number < below:
-        raise error(f"{where}: must be less than {below:g} but is {number:g}")
+        raise error(f"{where}: must be less than {below:g}, but is {number:g}")
 
 
 def check_choice(
@@ -85,13 +85,13 @@ def check_choice(
     if not isinstance(value, str) or value not in names:
         listed = ", ".join(repr(name) for name in names[:-1])
         must = f"{listed} or {names[-1]!r}" if listed else repr(names[-1])
-        raise error(f"{where}: must be {must} but is {shown(value)}")
+        raise error(f"{where}: must be {must}, but is {shown(value)}")
 
 
 def as_path(value: object, where: str, error: type[ClusterEstError]) -> Path:
     """A path; refuses everything else."""
     if not isinstance(value, str | PathLike) or not str(value):
-        raise error(f"{where}: must be a path but is {shown(value)}")
+        raise error(f"{where}: must be a path, but is {shown(value)}")
     return Path(value)
 
 
@@ -99,7 +99,7 @@ def check_once(names: Sequence[str], where: str, error: type[ClusterEstError]) -
     """Refuse a name that appears twice."""
     for name, count in Counter(names).items():
         if count > 1:
-            raise error(f"{where} {name!r}: must appear once but appears twice; remove one")
+            raise error(f"{where} {name!r}: must appear once, but appears twice; remove one")
 
 
 def is_finite(value: Any) -> bool:
@@ -113,20 +113,20 @@ def is_finite(value: Any) -> bool:
 def check_flag(value: object, where: str, error: type[ClusterEstError]) -> None:
     """Refuse what is neither true nor false; those of NumPy are."""
     if not isinstance(value, bool | np.bool_):
-        raise error(f"{where}: must be true or false but is {shown(value)}")
+        raise error(f"{where}: must be true or false, but is {shown(value)}")
 
 
 def check_text(value: object, where: str, error: type[ClusterEstError]) -> None:
     """Refuse what is no text; it may be empty."""
     if not isinstance(value, str):
-        raise error(f"{where}: must be text but is {shown(value)}")
+        raise error(f"{where}: must be text, but is {shown(value)}")
 
 
 def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
     """Refuse what is no text, or empty."""
     check_text(value, where, error)
     if not value:
-        raise error(f"{where}: must not be empty but is; give it a name")
+        raise error(f"{where}: must not be empty, but is; give it a name")
 
 
 def check_kind(
@@ -137,8 +137,10 @@ def check_kind(
         return
     name = "dict" if kind is Mapping else kind.__name__
     if isinstance(value, type) and issubclass(value, kind):
-        raise error(f"{where}: must be {_a(name)} but is the class; call it: {value.__name__}(...)")
-    raise error(f"{where}: must be {_a(name)} but is {shown(value)}{advice}")
+        raise error(
+            f"{where}: must be {_a(name)}, but is the class; call it: {value.__name__}(...)"
+        )
+    raise error(f"{where}: must be {_a(name)}, but is {shown(value)}{advice}")
 
 
 def as_tuple(
@@ -148,14 +150,14 @@ def as_tuple(
     name = kind.__name__ if kind is not str else "text"
     if isinstance(values, kind):
         raise error(
-            f"{where}: must be a list of {name} but is one alone; put it in brackets: [...]"
+            f"{where}: must be a list of {name}, but is a single one; put it in brackets: [...]"
         )
     if not isinstance(values, Iterable) or isinstance(values, str | bytes):
-        raise error(f"{where}: must be a list of {name} but is {shown(values)}")
+        raise error(f"{where}: must be a list of {name}, but is {shown(values)}")
     found = values if type(values) is tuple else tuple(values)
     for i, value in enumerate(found):
         if not isinstance(value, kind):
-            raise error(f"{where}[{i}]: must be {_a(name)} but is {shown(value)}")
+            raise error(f"{where}[{i}]: must be {_a(name)}, but is {shown(value)}")
     return found
 
 
@@ -164,12 +166,12 @@ def as_pairs(values: Any, where: str, error: type[ClusterEstError]) -> tuple[tup
     if hasattr(values, "items"):
         values = values.items()
     if not isinstance(values, Iterable) or isinstance(values, str | bytes):
-        raise error(f"{where}: must be a dict but is {shown(values)}; write {{name: value}}")
+        raise error(f"{where}: must be a dict, but is {shown(values)}; write {{name: value}}")
     found = tuple(values) if type(values) is not tuple else values
     for pair in found:
         if not (isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[0], str)):
             raise error(
-                f"{where}: must hold pairs (name, value) but holds {shown(pair)}; write "
+                f"{where}: must contain pairs (name, value), but contains {shown(pair)}; write "
                 "{name: value}"
             )
     return tuple(pair if type(pair) is tuple else tuple(pair) for pair in found)

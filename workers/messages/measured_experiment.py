@@ -88,8 +88,8 @@ class Curve:
         _check_points(points, variables)
         if tolerances and len(tolerances) != len(variables):
             raise DataError(
-                f"curve.tolerances: must have a number for each variable, {len(variables)}, but "
-                f"has {len(tolerances)}; write 0 for a variable without one"
+                f"curve.tolerances: must have a number for each of the {len(variables)} variables, "
+                f"but has {len(tolerances)}; write 0 for a variable without a tolerance"
             )
         for name, tolerance in zip(variables, tolerances, strict=False):
             check_number(tolerance, f"curve.tolerances of {name!r}", DataError, least=0.0)
@@ -156,17 +156,21 @@ class SignalBound:
             limit = getattr(self, side)
             for i in np.flatnonzero(~np.isfinite(limit)):
                 if self.equality or limit[i] != none:
-                    other = "" if self.equality else f", or {none} for no bound,"
+                    other = "" if self.equality else f", or {none} for no bound"
                     raise DataError(
-                        f"{where}.{side}, index {i}: must be a finite number{other} but is "
+                        f"{where}.{side}, index {i}: must be a finite number{other}, but is "
                         f"{limit[i]}; correct it"
                     )
         wrong = self.lower != self.upper if self.equality else self.lower > self.upper
         for i in np.flatnonzero(wrong):
-            must = "be upper, because it is an equality," if self.equality else "not be above upper"
+            must = (
+                "be equal to upper, because the constraint is an equality"
+                if self.equality
+                else "not be above upper"
+            )
             raise DataError(
-                f"{where}.lower, index {i}: must {must} but they are {self.lower[i]:g} and "
-                f"{self.upper[i]:g}; change one"
+                f"{where}.lower, index {i}: must {must}, but they are {self.lower[i]:g} and "
+                f"{self.upper[i]:g}; change one of the two"
             )
 
     @property
@@ -182,7 +186,7 @@ def _own_times(values: object, where: str) -> FloatArray:
     """At least one time, as a copy that cannot be written to."""
     times = kept_floats(values, f"{where}.times")
     if not len(times):
-        raise DataError(f"{where}.times: must have at least one time but has none; add one")
+        raise DataError(f"{where}.times: must have at least one time, but has none; add one")
     check_times(times, f"{where}.times", "index {}".format)
     return times
 
@@ -190,18 +194,18 @@ def _own_times(values: object, where: str) -> FloatArray:
 def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
     """Refuse points of a curve that are too few, or are not a number for each variable."""
     if not variables:
-        raise DataError("curve.variables: must name at least one variable but names none; add one")
+        raise DataError("curve.variables: must name at least one variable, but names none; add one")
     for i, name in enumerate(variables):
         check_name(name, f"curve.variables[{i}]", DataError)
     if points.shape[1] != len(variables):
         raise DataError(
-            f"curve.points: must have a column for each variable, {len(variables)}, but has "
+            f"curve.points: must have a column for each of the {len(variables)} variables, but has "
             f"{points.shape[1]}; change one of the two"
         )
     if len(points) < 2:
         raise DataError(
-            f"curve.points: must have at least two rows but has {len(points)}; a curve connects "
-            "points"
+            "curve.points: must have at least two rows, because a curve connects points, but has "
+            f"{len(points)}; add points"
         )
     for name, column in zip(variables, points.T, strict=True):
         check_finite(column, f"curve.points of {name!r}")
@@ -432,7 +436,7 @@ def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
         fits = isinstance(value, bool | str | np.bool_) or is_number(value)
         if not fits or (is_number(value) and not is_finite(value)):
             raise DataError(
-                f"{where}.{name}: must be a finite number, true, false or a text but is "
+                f"{where}.{name}: must be a finite number, true, false or text, but is "
                 f"{shown(value)}"
             )
 
@@ -444,7 +448,8 @@ def _check_interval(experiment: Experiment, where: str) -> None:
         check_number(time, f"{where}.{key}", DataError)
     if not start < stop:
         raise DataError(
-            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
+            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
+            "one of the two"
         )
     timed = [(f"outputs.{output.variable}", output.times) for output in experiment.outputs]
     timed += [
@@ -457,7 +462,7 @@ def _check_interval(experiment: Experiment, where: str) -> None:
     for key, times in timed:
         if len(times) and not start <= times[0] <= times[-1] <= stop:
             raise DataError(
-                f"{where}.{key}: its times must lie between start, {start:g} s, and stop, "
-                f"{stop:g} s, but go from {times[0]:g} to {times[-1]:g} s; change start or stop, "
-                "or leave those samples out"
+                f"{where}.{key}: the times must lie between start and stop, {start:g} to {stop:g} "
+                f"s, but go from {times[0]:g} to {times[-1]:g} s; change start or stop, or leave "
+                "those samples out"
             )

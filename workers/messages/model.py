@@ -198,8 +198,8 @@ class Model:
     def __post_init__(self) -> None:
         if isinstance(self.archive, str | PathLike):
             raise ModelError(
-                f"model.archive: must be the bytes of an FMU but is the path {shown(self.archive)};"
-                " use cluster_est.read_model(path)"
+                "model.archive: must be the bytes of an FMU, but is the path "
+                f"{shown(self.archive)}; use cluster_est.read_model(path)"
             )
         check_kind(self.archive, bytes, "model.archive", ModelError)
         check_choice(self.interface, get_args(Interface), "model.interface", ModelError)
@@ -252,8 +252,8 @@ def _check_variable(name: str, value: object) -> None:
     check_text(value, f"model.environment.{name}", ModelError)
     if not name or "=" in name or "\0" in f"{name}{value}":
         raise ModelError(
-            f"model.environment: must hold names without '=', and no NUL character, but has "
-            f"{shown(name)} = {shown(value)}; correct it"
+            "model.environment: names must not contain '=', and neither names nor values may "
+            f"contain a NUL character, but there is {shown(name)} = {shown(value)}; correct it"
         )
 
 
@@ -264,7 +264,7 @@ def _check_folder(folder: object) -> None:
     if path.is_absolute() or ".." in path.parts or ":" in str(folder) or "\0" in str(folder):
         raise ModelError(
             'model.working_folder: must be a folder in the FMU, such as "resources", but is '
-            f"{shown(folder)}; leave it out for the folder that the program is started in"
+            f"{shown(folder)}; leave it out to use the folder in which the program was started"
         )
 
 
@@ -280,5 +280,5 @@ def check_solver(interface: Interface, name: SolverName) -> None:
     if exchange is (name == "fmu"):
         usable = "dormand_prince, rk4 or cvode" if exchange else "fmu"
         raise ModelError(
-            f"model.solver: must be {usable} for {interface} but is {name}; change one of the two"
+            f"model.solver: must be {usable} for {interface}, but is {name}; change one of the two"
         )

@@ -47,12 +47,12 @@ def as_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
         found = np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else None
         found = np.asarray(values) if found is None else found
     except (TypeError, ValueError) as error:
-        raise DataError(f"{where}: must hold numbers but cannot be read ({error})") from None
+        raise DataError(f"{where}: must contain numbers, but cannot be read ({error})") from None
     if found.ndim != dimensions:
-        alone = "a number alone" if found.dtype.kind in "iuf" else shown(values)
+        alone = "a single number" if found.dtype.kind in "iuf" else shown(values)
         shape = f"of shape {found.shape}" if found.ndim else alone
         must = "a list of numbers" if dimensions == 1 else "a table of numbers"
-        raise DataError(f"{where}: must be {must} but is {shape}")
+        raise DataError(f"{where}: must be {must}, but is {shape}")
     if found.dtype.kind not in "biuf" and found.size:
         found = _from_objects(found, where)
     return np.asarray(found, np.float64)
@@ -80,18 +80,18 @@ def _from_objects(values: Any, where: str) -> Any:
     """Numbers in an array of Python objects, NaN for None and the like."""
     if values.dtype.kind != "O":
         raise DataError(
-            f"{where}: must hold numbers but holds {values.dtype}; convert it to numbers "
-            "(a time to seconds)"
+            f"{where}: must contain numbers, but contains {values.dtype}; convert it to numbers (a "
+            "time to seconds)"
         )
     for i, value in enumerate(values.flat):
         if isinstance(value, str):
-            raise DataError(f"{where}[{i}]: must be a number but is {value!r}; correct it")
+            raise DataError(f"{where}[{i}]: must be a number, but is {value!r}; correct it")
     try:
         return np.array(
             [np.nan if _absent(value) else float(value) for value in values.flat]
         ).reshape(values.shape)
     except (TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{where}: must hold numbers but does not ({error})") from None
+        raise DataError(f"{where}: must contain numbers, but does not ({error})") from None
 
 
 def _absent(value: object) -> bool:
@@ -119,16 +119,16 @@ def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> N
     if not np.isfinite(times).all():
         i = int(np.flatnonzero(~np.isfinite(times))[0])
         raise DataError(
-            f"{where}, {place(i)}: the time must be a finite number but is "
-            f"{times[i]}; remove the row or correct it"
+            f"{where}, {place(i)}: the time must be a finite number, but is {times[i]}; remove the "
+            "row or correct it"
         )
     forward = times[1:] > times[:-1]
     if not forward.all():
         i = int(np.flatnonzero(~forward)[0]) + 1
         how = "repeats" if times[i] == times[i - 1] else "goes back from"
         raise DataError(
-            f"{where}, {place(i)}: times must increase but {times[i]:.9g} {how} "
-            f"{times[i - 1]:.9g} of the row before; {_remedy(times)}"
+            f"{where}, {place(i)}: times must increase, but {times[i]:.9g} {how} "
+            f"{times[i - 1]:.9g} in the row before; {_remedy(times)}"
         )
 
 
@@ -141,8 +141,8 @@ def _remedy(times: FloatArray) -> str:
     steps = np.diff(times)
     if np.mean(steps == 0.0) > COARSE:
         return (
-            "its clock is coarser than its rows: give sample_time, the seconds between rows, in "
-            "place of time"
+            "many rows have the same time, so give sample_time, the seconds between rows, instead "
+            "of time"
         )
     if np.all(steps < 0.0):
         return "reverse the order of the rows"
@@ -159,15 +159,15 @@ def check_length(values: FloatArray, times: FloatArray, where: str) -> None:
     """
     if len(values) != len(times):
         raise DataError(
-            f"{where} must have as many rows as the time, {len(times)}, but has {len(values)}; "
-            "choose another or correct it"
+            f"{where} must have as many rows as the time column, {len(times)}, but has "
+            f"{len(values)}; choose another column or correct it"
         )
 
 
 def refuse_value(value: float, where: str, absent: str) -> DataError:
     """The error for a sample that is no finite number; `absent` says how one is left out."""
     return DataError(
-        f"{where}: must be a finite number but is {value}; correct it, or {absent} if nothing was "
+        f"{where}: must be a finite number, but is {value}; correct it, or {absent} if nothing was "
         "measured"
     )
 
@@ -211,7 +211,7 @@ class Input:
         )
         if not len(self.times):
             raise DataError(
-                f"{where}: must have at least one sample but has none; leave the input out if "
+                f"{where}: must have at least one sample, but has none; leave the input out if "
                 "nothing was measured"
             )
 
@@ -280,7 +280,8 @@ class Output:
             if self.free_scale or self.free_offset:
                 raise DataError(
                     f"{where}.detection_limit: must not be used with free_scale or free_offset, "
-                    "which would depend on values that were not measured; remove one of the two"
+                    "which would then depend on values that were not measured; remove one of the "
+                    "two"
                 )
         check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
         check_number(self.relative_sigma, f"{where}.relative_sigma", DataError, least=0.0)
@@ -294,7 +295,7 @@ class Output:
             check_kind(self.reference, Output, f"{where}.reference", DataError)
             if self.reference.variable != self.variable or not len(self.reference.times):
                 raise DataError(
-                    f"{where}.reference: must be the same output with at least one measured value "
+                    f"{where}.reference: must be the same output with at least one measured value, "
                     f"but is {self.reference.variable!r} with {len(self.reference.times)}; leave "
                     "it out"
                 )
@@ -310,8 +311,8 @@ class Output:
         for key, there in given.items():
             if there:
                 raise DataError(
-                    f"{where}.ordinal: must not be used with {key}, because an order has no "
-                    "scale, but both are given; remove one of the two"
+                    f"{where}.ordinal: must not be used with {key}, because only the order of "
+                    "ordinal values counts, but both are given; remove one of the two"
                 )
 
     @property

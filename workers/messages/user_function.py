@@ -74,8 +74,9 @@ class UserFunction:
         except (TypeError, ValueError, AttributeError, pickle.PicklingError) as error:
             reason = " ".join(str(error).split())
             raise DataError(
-                f"{where}: must be a function that can be sent to workers but {shown(function)} "
-                f"contains an object that cannot ({reason}); create it inside the function"
+                f"{where}: must be a function that can be sent to workers, but {shown(function)} "
+                f"contains an object that cannot be sent ({reason}); create that object inside the "
+                "function"
             ) from None
         name = str(getattr(function, "__name__", type(function).__name__))
         module = str(getattr(function, "__module__", None) or "__main__")

@@ -364,5 +364,5 @@ class DirectionalProbe(FmuProbe):
             raise ModelError(record.messages[0])
         jacobian = directional_jacobian(description)
         if len(jacobian.states) < len(description.states):
-            raise ModelError("it does not say which variables are its state derivatives")
+            raise ModelError("the FMU does not say which variables are its state derivatives")
         return compare_with_differences(simulator.instance.fmu, description.version, jacobian)

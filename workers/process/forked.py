@@ -321,7 +321,7 @@ class ForkClient:
         if not CAN_FORK:
             raise ModelError(
                 "an FMU in a separate process needs a system that can fork processes, such as "
-                'Linux and macOS, but this one cannot; use executor.name = "local"'
+                'Linux or macOS, but this system cannot; use executor.name = "local"'
             )
         prepare_folder()
         self._installation = installation

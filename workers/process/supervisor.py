@@ -49,8 +49,8 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
     if watch.simulated > limits.seconds:
         return ProcessFailure(
             Status.TIMEOUT,
-            f"the simulation did not end within {limits.seconds:.3g} s and was stopped; raise "
-            "executor.timeout if it only needs longer",
+            f"the simulation did not end within {limits.seconds:.3g} s and was stopped; if it only "
+            "needs more time, raise executor.timeout",
         )
     if not watch.simulates:
         return _too_late_outside(watch, max(limits.stall, LOAD_SECONDS))
@@ -58,9 +58,9 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
     if watch.still > most:
         return ProcessFailure(
             Status.TIMEOUT,
-            f"the simulation stalled: no step ended for {most:.3g} s, and it was stopped; check "
-            "that the FMU does not wait for a licence or a window, or raise executor.stall if "
-            "one step of it takes so long",
+            f"the simulation stalled: no step ended for {most:.3g} s, so it was stopped; check "
+            "that the FMU does not wait for a licence or a window, or raise executor.stall if one "
+            "step can take so long",
         )
     return None
 
@@ -71,8 +71,8 @@ def _too_late_outside(watch: ProgressWatch, most: float) -> ProcessFailure | Non
         return None
     return ProcessFailure(
         Status.TIMEOUT,
-        "a step before or after the simulation, such as loading or a Python function of the "
-        f"config, took {most:.3g} s without ending and was stopped; check that function, or raise "
+        "a step before or after the simulation, such as loading or a Python function in the "
+        f"config, had not ended after {most:.3g} s and was stopped; check that function, or raise "
         "executor.stall",
     )
 
@@ -84,8 +84,8 @@ def too_large(child: int, limits: Limits) -> ProcessFailure | None:
         return None
     return ProcessFailure(
         Status.OUT_OF_MEMORY,
-        f"the simulation took {resident / 2**20:.0f} MB of memory and was stopped; "
-        "raise executor.memory if it needs that much",
+        f"the simulation used {resident / 2**20:.0f} MB of memory and was stopped; if it needs "
+        "that much, raise executor.memory",
     )
 
 
@@ -287,7 +287,7 @@ class SupervisedEvaluator:
                 return
             except LostError as error:
                 if not left:
-                    raise ModelError(f"{self._file}: must load, but {error}") from error
+                    raise ModelError(f"{self._file}: cannot be loaded: {error}") from error
 
     def _begin(self) -> tuple[int, Connection]:
         """Fork a process and wait until it has loaded the FMU."""
@@ -306,7 +306,7 @@ class SupervisedEvaluator:
                 if watch.still > LOAD_SECONDS:
                     self._end(kill=True)
                     raise ModelError(
-                        f"{self._file}: must load within {LOAD_SECONDS:g} s but does not; check "
+                        f"{self._file}: must load within {LOAD_SECONDS:g} s, but does not; check "
                         "that it does not wait for a licence or a window"
                     )
             said = connection.recv()
@@ -318,8 +318,9 @@ class SupervisedEvaluator:
             if ended.from_outside:
                 raise LostError(ended.message) from error
             raise ModelError(
-                f"{self._file}: must load, but {ended.message.replace('this simulation', 'that')}; "
-                "check that it runs on this machine"
+                f"{self._file}: cannot be loaded: "
+                f"{ended.message.replace('this simulation', 'loading')}; check that the FMU runs "
+                "on this machine"
             ) from error
         if said is not None:
             self._end(kill=False)

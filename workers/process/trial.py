@@ -151,7 +151,7 @@ def _answered(probe: FmuProbe, evaluator: Evaluator) -> Any:
 def _receive(connection: Connection, end: float, seconds: float, *, loading: bool) -> Any:
     if connection.poll(max(end - time.monotonic(), 0.0)):
         return connection.recv()
-    return NoAnswer(f"it did not end within {seconds:.2g} s", late=True, loading=loading)
+    return NoAnswer(f"there was no answer within {seconds:.2g} s", late=True, loading=loading)
 
 
 def _how(code: int | None) -> str:

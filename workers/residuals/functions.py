@@ -100,17 +100,17 @@ class FunctionComparison(Comparison):
 
     def _checked(self, answer: Any) -> FloatArray:
         if answer is None or np.iscomplexobj(answer):
-            raise TypeError(f"it must return real numbers but returned a {type(answer).__name__}")
+            raise TypeError(f"it must return real numbers, but returned a {type(answer).__name__}")
         values = np.atleast_1d(np.asarray(answer, np.float64)).ravel()
         if self._size < 0 and len(values):
             self._size = len(values)
         if len(values) != self._size:
-            before = f"{self._size} numbers, as it did before," if self._size > 0 else "numbers"
+            before = f"{self._size} numbers, as in the first call" if self._size > 0 else "numbers"
             must = "one number" if self._single else before
-            raise ValueError(f"it must return {must} but returned {len(values) or 'none'}")
+            raise ValueError(f"it must return {must}, but returned {len(values) or 'none'}")
         if not np.isfinite(values).all():
             bad = values[~np.isfinite(values)][0]
-            raise ValueError(f"it must return finite numbers but returned {bad}")
+            raise ValueError(f"it must return finite numbers, but returned {bad}")
         return values
 
     def _run(self, simulated: SimulatedOutputs, p: int) -> SimulatedRun:
@@ -149,12 +149,12 @@ def load(function: UserFunction) -> Callable[[SimulatedRun], Any]:
             found = getattr(module, function.name)
     except (Exception, SystemExit) as error:  # whatever the user's module raises
         raise ModelError(
-            f"{where}: must be a function that can be imported but cannot be "
-            f"({type(error).__name__}: {error}); correct it, install on each worker what it "
-            "imports, or put its file beside the config"
+            f"{where}: must be a function that can be imported, but cannot be imported "
+            f"({type(error).__name__}: {error}); correct it, install what it imports on each "
+            "worker, or put its file beside the config"
         ) from error
     if not callable(found):
-        raise ModelError(f"{where}: must be a function but is a {type(found).__name__}")
+        raise ModelError(f"{where}: must be a function, but is a {type(found).__name__}")
     called: Callable[[SimulatedRun], Any] = found
     return called
 

@@ -212,8 +212,8 @@ def _with_dependencies(
         variable = description.variables.get(name)
         if variable is None and name not in signals:
             raise EffectError(
-                f"experiment {experiment.id!r}: an effect needs the signal {name!r}, which it "
-                f"must have under signals{nearest(name, signals)}"
+                f"experiment {experiment.id!r}: an effect needs the signal {name!r}, but the "
+                f"experiment has no such signal; add it under signals{nearest(name, signals)}"
             )
         if variable is not None and variable.causality == "input" and name not in driven:
             constants.append(_constant_input(name, experiment, description))
@@ -229,8 +229,8 @@ def _constant_input(name: str, experiment: Experiment, description: ModelDescrip
     value = dict(experiment.values).get(name, description.variables[name].start)
     if value is None:
         raise EffectError(
-            f"experiment {experiment.id!r}: an effect needs the input {name!r}, which has no "
-            "column and no start value; give it a value under values"
+            f"experiment {experiment.id!r}: an effect needs the input {name!r}, which has neither "
+            "a column nor a start value; give it a value under values"
         )
     times = np.array([experiment.start, experiment.stop])
     return Input(name, times, np.full(2, float(value)), "hold")

@@ -160,10 +160,10 @@ def _note(file: str, step: float, names: Sequence[str]) -> str:
     one = len(names) == 1
     which = f"experiment {names[0]!r}" if one else f"{len(names)} experiments"
     return (
-        f"{file} communicates in fixed steps of {step:g} s, but {which} "
-        f"{'has' if one else 'have'} samples between these steps. There, real outputs are "
-        "interpolated linearly, other outputs keep their last value, and inputs take effect at "
-        "the next step. A shorter model.step, if the FMU accepts it, reduces this error"
+        f"{file} communicates in fixed steps of {step:g} s, but {which} {'has' if one else 'have'} "
+        "samples between these steps. There, real outputs are interpolated linearly, other outputs "
+        "keep their last value, and inputs take effect at the next step. A shorter model.step "
+        "reduces this error, if the FMU accepts it"
     )
 
 
@@ -179,15 +179,16 @@ def _step(
         steps = intervals / step
         if np.abs(steps - np.round(steps)).max() > ON_GRID:
             raise ModelError(
-                f"{where}: {description.file} needs one communication step of fixed length, names "
-                f"none, and the times of inputs and measurements are {intervals.min():g} to "
-                f"{intervals.max():g} s apart; set model.step to a step that it takes"
+                f"{where}: {description.file} needs a fixed communication step but does not name "
+                f"one, and the times of inputs and measurements are {intervals.min():g} to "
+                f"{intervals.max():g} s apart; set model.step to a step that the FMU accepts"
             )
     longest = float(np.diff(times).max(initial=0.0))
     if not longest / step <= model.solver.max_steps:
         raise ModelError(
-            f"{where}: {description.file} must communicate in steps of {step:g} s, of which "
-            f"{longest:g} s from one time in the data to the next have more than model.max_steps = "
-            f"{model.solver.max_steps}; set model.step to a longer one that it takes, or raise that"
+            f"{where}: {description.file} must communicate in steps of {step:g} s, but times in "
+            f"the data are up to {longest:g} s apart, which takes more than model.max_steps = "
+            f"{model.solver.max_steps} steps; set model.step to a longer step that the FMU "
+            "accepts, or raise model.max_steps"
         )
     return step

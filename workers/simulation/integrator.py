@@ -303,8 +303,11 @@ class FmuIntegrator:
         log = " | ".join(dict.fromkeys(self.instance.log)) if code != failure.ENDED_EARLY else ""
         message = f"{failure.MESSAGES[code % failure.FATAL]} at t = {time:.9g} s"
         if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
-            message += '; if the model is stiff, model.solver = "cvode" continues with long steps'
-        return f"{message}; it said: {log}" if log else message
+            message += (
+                '; if the model is stiff, set model.solver = "cvode", which can continue with '
+                "longer steps"
+            )
+        return f"{message}; the FMU said: {log}" if log else message
 
 
 def _may_use_jacobian(model: Model, description: ModelDescription) -> bool:

@@ -80,7 +80,7 @@ def compare_with_differences(
     try:
         return _compare(fmu, version, list(jacobian.derivatives), list(jacobian.states))
     except Exception as error:  # fmpy raises bare exceptions
-        raise ModelError(f"a request for one failed ({error})") from error
+        raise ModelError(f"the FMU did not provide a directional derivative ({error})") from error
 
 
 def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> StateJacobian:

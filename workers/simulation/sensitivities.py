@@ -60,12 +60,13 @@ class SensitivitySource:
         known, solver = self._description.variables, self._model.solver.name
         if self._model.reset in ("instance", "process"):
             return (
-                f"they need an instance that can be reset, but each has a new {self._model.reset}"
+                "sensitivities need an instance that can be reset, but each simulation has a new "
+                f"{self._model.reset}"
             )
         if self._model.interface != "model_exchange":
-            return "sensitivities need the states, which an FMU gives in model exchange only"
+            return "sensitivities need the states, which an FMU provides only in model exchange"
         if not self._description.offer("model_exchange").provides_directional_derivatives:
-            return "the FMU provides no directional derivatives"
+            return "the FMU does not provide directional derivatives"
         if solver not in SOLVERS:
             return f"solver {solver!r} cannot compute sensitivities"
         jumps = any(v.variability == "discrete" for v in known.values()) and bound.grid.jumps.any()
@@ -76,7 +77,7 @@ class SensitivitySource:
         ]
         if unsupported:
             return (
-                f"{unsupported[0]!r} is not a float64 scalar; only these have directional "
+                f"{unsupported[0]!r} is not a float64 scalar, and only these have directional "
                 "derivatives"
             )
         if set(self._derivatives()) < set(self._description.states):

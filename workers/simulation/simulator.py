@@ -152,14 +152,14 @@ class Simulator:
         if self._model.interface != "model_exchange":
             raise ModelError(
                 f"{self._model.name}: a linearisation needs the states and their derivatives, "
-                "which an FMU gives in model exchange only; set model.interface to "
-                '"model_exchange", but it is "co_simulation"'
+                "which an FMU provides only in model exchange, but model.interface is "
+                '"co_simulation"; set it to "model_exchange"'
             )
         cvode = self._integrator.loop if isinstance(self._integrator.loop, CvodeLoop) else None
         if cvode is not None and self._description.event_indicators > 0:
             raise ModelError(
-                f"{self._model.name}: has events, across which solver cvode cannot be linearised; "
-                'set model.solver to "dormand_prince" or "rk4"'
+                f"{self._model.name}: has events, and solver cvode cannot be linearised across "
+                'them; set model.solver to "dormand_prince" or "rk4"'
             )
         self._integrator.find_jacobian(self._bound[0])
         without_effects = self._bound[experiment]
@@ -380,8 +380,8 @@ class Simulator:
         if self._model.interface != "model_exchange" or solver == "cvode":
             raise ModelError(
                 f"{self._model.name}: process noise needs model.interface = model_exchange and "
-                "model.solver = dormand_prince or rk4, but they are set to "
-                f"{self._model.interface} and {solver}"
+                f"model.solver = dormand_prince or rk4, but they are {self._model.interface} and "
+                f"{solver}; change them"
             )
 
 

@@ -195,20 +195,26 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
     """Return how sure a claimed effect is."""
     if evidence.free:
         alike = known.curves
-        said = f"a place and no law: {_of_alike(alike, 'free curves', 'at the right place')}"
+        said = (
+            "this is a place without a law: "
+            f"{_of_alike(alike, 'free curves', 'at the right place')}"
+        )
         return Claim(alike.expected, said, evidence)
     weights = known.fewer, known.clean, known.apart, known.chosen
     odds = known.intercept + float(np.dot(weights, figures(evidence)))
     probability = float(1.0 / (1.0 + np.exp(-odds)))
     alike = max((a for a in known.alike if a.least <= probability), default=known.alike[0],
                 key=lambda a: a.least)  # fmt: skip
-    called, most = "claims like this", known.alike[-1]
+    called, most = "similar claims", known.alike[-1]
     if evidence.doubtful:
         alike = most = known.doubtful
-        called = "claims that leave as much in doubt"
+        called = "equally doubtful claims"
     # no surer than these claims allow for, however far the regression goes
     probability = min(probability, most.expected)
-    said = f"right in place and kind with {percent(probability)}: {_of_alike(alike, called)}"
+    said = (
+        f"place and kind are right with a probability of {percent(probability)}: "
+        f"{_of_alike(alike, called)}"
+    )
     return Claim(probability, said, evidence)
 
 
@@ -216,8 +222,8 @@ def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Clai
     """Return how sure an effect is that does not close enough to be claimed."""
     right, place = known.leads, known.lead_places
     said = (
-        f"a lead, and no claim: {_of_alike(right, 'such leads', 'right in place and kind')}, and "
-        f"{place.right} in place"
+        f"this is a lead, not a claim: {_of_alike(right, 'leads', 'right in place and kind')}, and "
+        f"{place.right} at least in place"
     )
     return Claim(np.nan, said, evidence)
 
@@ -225,5 +231,5 @@ def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Clai
 def _of_alike(alike: LikeClaims, called: str, right: str = "right") -> str:
     """Say how many of the claims that are alike were right."""
     were = "was" if alike.right == 1 else "were"
-    few = ", which are few" if alike.of < FEW else ""
+    few = " (a small number)" if alike.of < FEW else ""
     return f"of {alike.of} {called} in the benchmark{few}, {alike.right} {were} {right}"

@@ -105,10 +105,13 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
     called = [" + ".join(each.effects) or DECLARED for each in likely]
     named = [f"{name} {share}" for name, share in zip(called, shares, strict=True)]
     if len(named) > MOST_NAMED_SETS:
-        named = [*named[: MOST_NAMED_SETS - 1], f"{len(named) - MOST_NAMED_SETS + 1} more the rest"]
+        named = [
+            *named[: MOST_NAMED_SETS - 1],
+            f"{len(named) - MOST_NAMED_SETS + 1} less probable sets",
+        ]
     return (
-        f"of the {count} sets of effects that were compared, allowing for a model that is not "
-        f"exact, the data give {in_a_row(named)}"
+        f"{count} sets of effects were compared; with an allowance for a model that is not exact, "
+        f"the data give {in_a_row(named)}"
     )
 
 
@@ -231,7 +234,7 @@ class ResampledChoices:
             if share > 0.0
         ]
         said = in_a_row(named[:MOST_NAMED_CHOICES])
-        return f"in {DRAWS} resamplings of {self.drawn}, the best set is {said}"
+        return f"in {DRAWS} resamplings of {self.drawn}, the best set of effects was {said}"
 
 
 def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoices | None:
@@ -299,13 +302,13 @@ def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     worst = max(expensive, key=lambda each: each.relative_steps)
     tried = "1 structure" if len(expensive) == 1 else f"{len(expensive)} structures"
     said = (
-        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as "
-        f"many steps of the solver as the declared model, most of all {' + '.join(worst.effects)} "
-        f"({worst.relative_steps:.3g} times); structures.parquet has the figure of each "
-        "(relative_steps)"
+        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as many "
+        f"solver steps as the declared model; the most expensive, {' + '.join(worst.effects)}, "
+        f"needed {worst.relative_steps:.3g} times as many (structures.parquet lists them all in "
+        "the column relative_steps)"
     )
     kept = [each for each in expensive if each.accepted]
     if kept:
         most = kept[-1].relative_steps
-        said += f"; with the added effects a simulation takes {most:.3g} times the steps"
+        said += f"; with the added effects, a simulation takes {most:.3g} times as many steps"
     return (said,)

@@ -50,8 +50,9 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
             place = str(candidate.site), candidate.effect.variables
             places.setdefault(place, []).append(candidate.form.name)
     return tuple(
-        f"{in_a_row(names)} are functions of {argument} at {site}: the data determine the sum of "
-        "these terms; the part of each term, and so its name, is less certain"
+        f"{in_a_row(names)} are functions of the same variable, {argument}, at {site}: the data "
+        "determine only the sum of these terms, so the size and the name of each term are less "
+        "certain"
         for (site, (argument,)), names in places.items()
         if len(names) > 1
     )
@@ -120,7 +121,7 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
     """Say in a sentence in which part of the data most of a residual lives."""
     total = fitted.sse
     if not total > 0.0:
-        return "nothing is left"
+        return "there is no remaining error"
     best: tuple[float, float, str] = (0.0, 0.0, "")
     for record in fitter.records.items:
         if not len(record.times):
@@ -140,7 +141,7 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
             )
     share = best[0] / total
     if share < STANDS_OUT * best[1]:
-        return "the remaining error is spread over all records, and no part stands out"
+        return "the remaining error is spread over all records; no part stands out"
     return f"the largest part of the remaining error ({share:.0%}) is in {best[2]}"
 
 
@@ -181,8 +182,8 @@ def _describe(
 
 
 FEEDS_ENERGY = (
-    "it pushes along the motion and feeds energy in, which friction never does: look for what "
-    "drives it, for a wrong sign, and for a damping of the declared model that is too large"
+    "it pushes in the direction of motion and so adds energy, which friction never does: look for "
+    "a drive that the model lacks, for a wrong sign, and for a declared damping that is too large"
 )
 
 
@@ -277,9 +278,10 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float)
     sentences = []
     if np.isfinite(period):
         sentences.append(
-            f"a sinusoid in time with a period of {readable_time(period)}, with one phase in all "
-            "experiments: this assumes that their times are from one clock; if a measured "
-            "quantity oscillates with it, declare it as a signal"
+            f"a sinusoid in time with a period of {readable_time(period)} and the same phase in "
+            "all experiments: this is right only if the times of all experiments come from one "
+            "clock; if a measured quantity oscillates with this period, declare that quantity as a "
+            "signal"
         )
     for finding in found.findings:
         own = (finding.site, finding.form, finding.variables)
@@ -287,7 +289,7 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float)
             continue
         if finding.stage is CandidateStage.ACCEPTED:
             sentences.append(
-                f"step {finding.step}: explains {finding.explained:.0%} of the residual, "
+                f"step {finding.step}: explains {finding.explained:.0%} of the residual; the "
                 f"criterion falls by {-finding.criterion:.0f}"
             )
     return tuple(sentences)
@@ -309,7 +311,9 @@ def sentence_of(
     said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
     told = [e for e in coefficients if e.estimated_on != "known"]  # a width may have been held
     values = [_value(candidate, e) for e in told if e.label == e.parameter]
-    values += [f"{c.name} for each experiment" for c in candidate.form.coefficients if c.each]
+    values += [
+        f"a value of {c.name} for each experiment" for c in candidate.form.coefficients if c.each
+    ]
     values = [] if candidate.form.free else values
     if candidate.form.is_dynamics:
         found = {e.parameter.rpartition(".")[2]: e.value for e in coefficients}
@@ -325,7 +329,7 @@ def sentence_of(
     seen = None if candidate.form.is_dynamics else seen
     if seen is not None:
         own = candidate.site.kind == "output" and seen.variable == candidate.site.target
-        said += f"; {'before the effect' if own else 'in the data'} {_range(seen)}"
+        said += f"; {'before the effect,' if own else 'in the data,'} {_range(seen)}"
     return " ".join([f"{said}.", *(_agreement(each, seen) for each in also if seen is not None)])
 
 
@@ -344,7 +348,7 @@ def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> 
         return ""
     named = argument.format(v=next(iter(candidate.effect.variables), ""))
     where = f"{named} = {at.value:.4g}{in_unit(at.unit)}"
-    return f"; the value of {candidate.site.target} is the one at {where}"
+    return f"; the estimate of {candidate.site.target} applies at {where}"
 
 
 def _place(candidate: EffectCandidate) -> str:
@@ -385,7 +389,7 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
     off = f"differs by at most {also.difference:.2g}{unit} ({also.share:.1%}) from"
     return (
-        f"On that range it {off if also.share > ROUNDING else 'equals'} {named}. At "
-        f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
+        f"Over that range, it {off if also.share > ROUNDING else 'equals'} {named}. At "
+        f"{curve.variable} = {also.told_at:.3g}{over}, the two would differ by "
         f"{also.told_by:.2g}{unit}, so measure there to distinguish them."
     )

@@ -42,7 +42,7 @@ def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[
     try:
         trajectories = fitter.trajectories(fitted)
     except ClusterEstError as error:
-        why = f"its experiments cannot be simulated ({error})"
+        why = f"the experiments cannot be simulated ({error})"
         return tuple(EffectCurve(c.effect.name, str(c.site), why_not=why) for c in fitted.added)
 
     def visited(site: EffectSite, name: str) -> FloatArray:

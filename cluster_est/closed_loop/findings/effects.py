@@ -229,21 +229,21 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
     """
     train, test = (largest_error(errors, role) for role in ("train", "test"))
     said = []
-    worst = " in the worst output" if len({e.output for e in errors}) > 1 else ""
+    worst = " of the worst output" if len({e.output for e in errors}) > 1 else ""
     if np.isfinite(train) and np.isfinite(test):
         said.append(
-            f"what is left is {_times(train)} times {over} on training and {_times(test)} on "
-            f"held-out data{worst}{remark}"
+            f"the remaining error{worst} is {_times(train)} times {over} on training data and "
+            f"{_times(test)} times on held-out data{remark}"
         )
     elif np.isfinite(train) or np.isfinite(test):
         where = "" if np.isfinite(train) else " on held-out data"
-        size = f"{_times(train if not where else test)} times {over}{where}{worst}"
-        said.append(f"what is left is {size}{remark}")
+        size = f"{_times(train if not where else test)} times {over}{where}"
+        said.append(f"the remaining error{worst} is {size}{remark}")
     silent = without_noise(errors)
     if silent:
         said.append(
-            f"the noise of {', '.join(silent)} is not known, so the error there was not compared "
-            "with it"
+            f"the error of {', '.join(silent)} was not compared with the noise, because that noise "
+            "is not known"
         )
     for role, kind in (("train", "training"), ("test", "held-out")):
         failed = not_simulated([e for e in errors if e.role == role])

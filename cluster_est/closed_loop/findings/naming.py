@@ -116,9 +116,9 @@ class Namer:
 
 
 ONE_WAVE = {
-    Law.PERIODIC: "a term in {} that swings once in the data",
-    Law.PERIODIC_TRAVEL: "a term in the integral of {} that swings once in the data",
-    Law.PERIODIC_ERROR: "a part that swings once over {} in the data",
+    Law.PERIODIC: "a term in {} that shows only one period in the data",
+    Law.PERIODIC_TRAVEL: "a term in the integral of {} that shows only one period in the data",
+    Law.PERIODIC_ERROR: "a part that varies over {} and shows only one period in the data",
 }
 """Of waves as long as they may be: what repeats was not seen to."""
 
@@ -327,7 +327,7 @@ FRICTION = {
     Law.TWO_SWITCHES: "Coulomb friction that differs between the two directions",
     Law.SWITCH_BY_MAGNITUDE: "Coulomb friction proportional to the magnitude of {w}",
     Law.SWITCH_BY_CURVE: "Coulomb friction that depends on {w}",
-    Law.HYSTERESIS: "friction with presliding (Dahl)",
+    Law.HYSTERESIS: "presliding friction (Dahl model)",
 }
 """Of a body against its surroundings, or of two against each other."""
 SPRING = {
@@ -358,7 +358,7 @@ def _motion(placed: PlacedLaw) -> str:
 
 
 def _ripple(way: Dimension) -> str:
-    return "cogging or eccentricity" if way is ANGLE else "ripple along the way"
+    return "cogging or eccentricity" if way is ANGLE else "ripple along the travel"
 
 
 def _heat(placed: PlacedLaw) -> str:
@@ -368,7 +368,7 @@ def _heat(placed: PlacedLaw) -> str:
     if placed.argument.same_as(TEMPERATURE) and placed.own and placed.loss:
         goes = "heat conduction or convection" if placed.kind == "pair" else "heat loss"
         if placed.law is Law.POWER:
-            return f"{goes} by a power law (as of natural convection)"
+            return f"{goes} by a power law (as in natural convection)"
         return goes if placed.law is Law.LINEAR else ""
     if placed.law is Law.FOURTH_DIFFERENCE:
         return "thermal radiation"
@@ -403,7 +403,7 @@ def _flow(placed: PlacedLaw) -> str:
     if placed.law is not Law.ABOVE:
         return ""
     relieved = placed.argument.same_as(PRESSURE)
-    return "outflow above a threshold (as of a relief valve)" if relieved else "overflow"
+    return "outflow above a threshold (as through a relief valve)" if relieved else "overflow"
 
 
 def _stock(placed: PlacedLaw) -> str:
@@ -413,11 +413,11 @@ def _stock(placed: PlacedLaw) -> str:
         return ""
     if placed.law in (Law.SQUARE, Law.ODD_SQUARE) and placed.kind == "derivative":
         reacts = placed.site.same_as(CONCENTRATION) and placed.one_sided
-        return "second-order loss (as of a reaction)" if reacts else ""
+        return "second-order loss (as in a reaction)" if reacts else ""
     if placed.law is not Law.LINEAR:
         return ""
     if placed.site.same_as(CHARGE):
-        return "leakage of charge"
+        return "charge leakage"
     if placed.site.same_as(MASS, AMOUNT, CONCENTRATION, DENSITY):
         pair = placed.kind == "pair"
         return "exchange between the two" if pair else "first-order loss (leakage or decay)"
@@ -430,13 +430,13 @@ def _kinetics(placed: PlacedLaw) -> str:
     if known is None:
         return ""
     if placed.law is Law.EXPONENTIAL and placed.kind == "parameter" and known == TEMPERATURE:
-        return "an exponential rise with temperature (as of Arrhenius)" if placed.gain else ""
+        return "an exponential rise with temperature (Arrhenius law)" if placed.gain else ""
     if not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
         return ""
     inhibits = (Law.SATURATING, Law.HILL, Law.HILL_POWER, Law.INVERSE)
     if placed.law in inhibits and placed.kind == "parameter":
         return "inhibition" if placed.loss else ""
-    return "saturation (as of Michaelis and Menten)" if placed.law is Law.SATURATING else ""
+    return "saturation (Michaelis-Menten kinetics)" if placed.law is Law.SATURATING else ""
 
 
 def _circuit(placed: PlacedLaw) -> str:

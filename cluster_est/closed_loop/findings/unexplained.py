@@ -62,12 +62,12 @@ class UnexplainedResidual:
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         said = f"{self.size:.3g}{unit} rms at {self.output}"
         if np.isfinite(self.over_noise):
-            said += f", {self.over_noise:.3g} times the noise from sample to sample"
+            said += f", which is {self.over_noise:.3g} times the sample-to-sample noise"
         if np.isfinite(self.period):
-            return f"{said}, most of it with a period of {readable_time(self.period)}"
+            return f"{said}; most of it has a period of {readable_time(self.period)}"
         if np.isfinite(self.shortest_period):
             shortest = readable_time(self.shortest_period)
-            return f"{said}, nine tenths of it with periods above {shortest}"
+            return f"{said}; nine tenths of its power has periods above {shortest}"
         return said
 
 
@@ -197,19 +197,19 @@ class VaryingColumn:
     @property
     def sentence(self) -> str:
         """Say what it has to do with the residual, and what to try."""
-        name = f"column {self.column!r} is not used and"
+        name = f"the unused column {self.column!r}"
         if np.isfinite(self.period):
             return f"{name} has the same period, {readable_time(self.period)}: {self._advice}"
         return (
-            f"{name} varies with it (it explains {self.share:.0%} of the residual of "
-            f"{self.output}): {self._advice}, unless the column is a consequence"
+            f"{name} explains {self.share:.0%} of the residual of {self.output}: {self._advice}, "
+            "unless the column is itself a consequence of the output"
         )
 
     @property
     def _advice(self) -> str:
         if not self.silent:
-            return "try it as a signal"
-        return f"try it as data of the input {' or '.join(self.silent)}, or as a signal"
+            return "try the column as a signal"
+        return f"try the column as data of the input {' or '.join(self.silent)}, or as a signal"
 
 
 def varying_columns(

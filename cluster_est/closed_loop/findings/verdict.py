@@ -92,7 +92,7 @@ class ReasonedVerdict:
     def over(self) -> str:
         """Return what errors are compared with."""
         if self.filtered:
-            return "the spread that noise explains"
+            return "the spread that noise alone explains"
         return "the declared sigma" if self.declared and not self.noise else "the noise"
 
 
@@ -124,22 +124,22 @@ class _Residual:
             if smooth:
                 of = f" of {' and '.join(smooth)}" if len(self.outputs) > 1 else ""
                 return (
-                    f"the remaining error{of} is smoother than the noise of a sensor but no "
-                    f"larger than its sigma ({self.level}): the noise was filtered, or something "
-                    "is missing"
+                    f"the remaining error{of} is smoother than sensor noise, but no larger than "
+                    f"the declared sigma ({self.level}): either the noise was filtered, or the "
+                    "model lacks something"
                 )
-        return f"something is missing ({self.level})"
+        return f"the model lacks something ({self.level})"
 
     @property
     def level(self) -> str:
         """Say how large it is, beside what."""
         worst = max(self.outputs, key=lambda o: o.level, default=None)
         if worst is None:
-            return f"residual {np.sqrt(1.0 + self.excess):.2f} times the noise"
+            return f"the residual is {np.sqrt(1.0 + self.excess):.2f} times the noise"
         named = f" of {worst.output}" if len(self.outputs) > 1 else ""
         if not np.isfinite(worst.level):
             return f"the residual{named} contains no noise"
-        return f"residual {worst.level:.3g} times the {worst.over}{named}"
+        return f"the residual{named} is {worst.level:.3g} times the {worst.over}"
 
 
 def judge(fitter: Fitter, found: SelectionResult) -> ReasonedVerdict:
@@ -174,7 +174,9 @@ def _judged(
     closes = "the effects close" if several else "the effect closes"
     share = f"{closes} {training:.0%} of the gap between error and noise"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
-        share += f", and {predicted:.0%} in records that were left out for prediction"
+        share += (
+            f", and {predicted:.0%} of it in predictions of records that were left out of the fit"
+        )
     tables = any(c.form.free for c in found.current.added)
     dynamics = any(c.form.is_dynamics for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
@@ -186,12 +188,15 @@ def _judged(
     quiet = not now.structured and predicted >= 0.0
     if quiet or closed > 1.0 - VERDICT.negligible:
         if tables:
-            free = "hidden dynamics: a filter" if dynamics else "a free curve: a shape"
-            share += f", with {free} that is not in the library"
+            share += (
+                ", with hidden dynamics that no form in the library describes"
+                if dynamics
+                else ", with a free curve, because the shape is not in the library"
+            )
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     mostly = found.prediction.is_better_than(found.base_prediction)
     if now.of_sensors and not tables and mostly:
-        rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
+        rest = f"{share}; the rest looks like autocorrelated sensor noise"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
     if closed > most:
         reason = f"{share}; the residual still has structure"
@@ -209,12 +214,12 @@ def _nothing(found: SelectionResult) -> str:
     """Say that nothing explains it, and where the search was told to look, or to end."""
     settings = found.settings
     narrowed = settings.forms or settings.sites
-    among = "among the forms and sites of closed_loop" if narrowed else "in the library"
-    said = f"nothing {among} explains it"
+    among = "among the forms and sites that closed_loop allows" if narrowed else "in the library"
+    said = f"no effect {among} explains the residual"
     if found.last.why != RejectionReason.LIMIT_OF_EFFECTS:
         return said
     most = settings.max_effects
-    return f"{said} with {most} effect{'s' if most > 1 else ''} (closed_loop.max_effects)"
+    return f"{said} with at most {most} effect{'s' if most > 1 else ''} (closed_loop.max_effects)"
 
 
 def _little(training: float, predicted: float, *, several: bool) -> str:
@@ -222,8 +227,10 @@ def _little(training: float, predicted: float, *, several: bool) -> str:
     if predicted < 0.0:
         return f"{'predict' if several else 'predicts'} {WORSE}"
     if predicted < training:
-        said = f"would close only {predicted:.0%} of the gap in records that were left out"
-        return f"{said}, and {training:.0%} in training"
+        said = (
+            f"would close only {predicted:.0%} of the gap in records that were left out of the fit"
+        )
+        return f"{said}, and {training:.0%} in the training data"
     return f"would close only {training:.0%} of the gap"
 
 
@@ -250,8 +257,8 @@ def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
 WORSE = "left-out records worse than the declared model"
 
 NOWHERE = (
-    "closed_loop.effects and closed_loop.sites leave no site for an effect: no measured output, "
-    "driven input, estimated parameter or state derivative"
+    "closed_loop.effects and closed_loop.sites leave no site for an effect: they exclude every "
+    "measured output, driven input, estimated parameter and state derivative"
 )
 
 
@@ -259,20 +266,20 @@ def _why_not(why: RejectionReason | None) -> str:
     if why == RejectionReason.NO_CANDIDATE:
         return f"but {why}: {NOWHERE}"
     if why == RejectionReason.NOT_SIGNIFICANT:
-        return "but no candidate is significant, though the residual has smooth structure"
+        return "but no candidate is significant, although the residual has smooth structure"
     if why == RejectionReason.COLOURED_NOISE:
         return (
-            "and nothing explains it: the residual is autocorrelated, too large for sensor "
-            "noise, and no effect explains it when autocorrelation is taken into account"
+            "and no effect explains the residual: it is autocorrelated and too large for sensor "
+            "noise, and no candidate is significant once the autocorrelation is taken into account"
         )
     if why == RejectionReason.COLOURED_GAIN:
         return (
-            "and nothing explains it: the residual is autocorrelated, and when this is taken "
+            "and no effect explains the residual: it is autocorrelated, and once this is taken "
             "into account, the best candidate is not significant"
         )
     if why in (RejectionReason.LITTLE_EXPLAINED, RejectionReason.NUMERICAL_ERROR):
-        return f"and nothing explains it: the best candidate {why.removeprefix('it ')}"
-    return f"and nothing explains it: {why}"
+        return f"and no effect explains the residual: the best candidate {why.removeprefix('it ')}"
+    return f"and no effect explains the residual: {why}"
 
 
 def _coloured(found: SelectionResult, now: _Residual) -> str:
@@ -282,8 +289,8 @@ def _coloured(found: SelectionResult, now: _Residual) -> str:
         rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
     elif screening.p_white > found.settings.significance:
         rest = (
-            "no effect explains it when this is taken into account (family-wise p = "
-            f"{screening.p_white:.2g})"
+            "no candidate is significant once the autocorrelation is taken into account "
+            f"(family-wise p = {screening.p_white:.2g})"
         )
     else:
         rest = f"the best candidate was not accepted: {why}"
@@ -305,17 +312,17 @@ def _autocorrelated(residual: _Residual) -> str:
     if worst.believed:
         size = f"{worst.level:.3g} times the declared sigma"
     else:  # which is no measure of it; `is_noise_of_sensors` compares with the white part too
-        size = f"{worst.level / worst.white:.3g} times the white part of the noise"
+        size = f"{worst.level / worst.white:.3g} times the white-noise component"
     doubted = [o.output for o in residual.outputs if not o.believed]
     if doubted:
         of = f" of {' and '.join(doubted)}" if len(doubted) < len(residual.outputs) else ""
         size += (
-            f"; without a declared sigma{of} that fits the data, a slow effect of this size "
-            "cannot be distinguished from such noise"
+            f"; unless you declare a sigma{of} that fits the data, a slow effect of this size "
+            "cannot be distinguished from autocorrelated noise"
         )
     return (
-        f"the residual{named} is {autocorrelated(worst.correlation)} and no larger than a sensor's "
-        f"noise may be ({size})"
+        f"the residual{named} is {autocorrelated(worst.correlation)} and small enough to be sensor "
+        f"noise ({size})"
     )
 
 
@@ -374,14 +381,17 @@ def confirmed(
     verdict, remark = judged.verdict, ""
     if verdict is Verdict.FOUND and np.any(left > near):
         verdict = Verdict.PARTIAL
-        remark = f', which is more than the limit of {near:.3g} times for "found"'
+        remark = f', which exceeds the limit of {near:.3g} times for the verdict "found"'
     elif (
         verdict is Verdict.FOUND
         and not judged.filtered
         and _more_held_out(errors, judged.independent)
     ):
         verdict = Verdict.PARTIAL
-        remark = ", significantly more than in any training experiment: something is left"
+        remark = (
+            ", which is significantly more than in any training experiment, so the model still "
+            "lacks something"
+        )
     said = what_is_left(errors, judged.over, remark)
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
@@ -429,7 +439,7 @@ def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopS
     closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan
     if closed < judged.least:
         return (
-            f"on held-out data only {closed:.0%} of the gap would be closed, from {old:.3g} to "
-            f"{new:.3g} times {judged.over}"
+            f"on held-out data, the effects would close only {closed:.0%} of the gap: the error "
+            f"would go from {old:.3g} to {new:.3g} times {judged.over}"
         )
     return ""

@@ -8,10 +8,10 @@ algebra, and those that could do the same are refitted from there.
 
 A free curve is a function of no form of the library: pairs of places and values. It fits what
 several named effects would only patch, and explains nothing. So it is tried where no named effect
-is accepted, and at the end of a search in the place of all that were, if they may not be claimed.
-A search ends with one that does most of it: what it leaves is partly its own error, which named
-effects would only patch. A curve also leads to names, the siblings of the one that fits. What free
-curves are for functions, free filters are for dynamics: a step response without a name.
+is accepted, and at the end of a search in the place of all that were, if they leave more than
+noise. A search ends with one that does most of it: what it leaves is partly its own error, which
+named effects would only patch. A curve also leads to names, the siblings of the one that fits. What
+free curves are for functions, free filters are for dynamics: a step response without a name.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     RoundEnd,
     RoundStart,
-    can_be_claimed,
     claimable_sse,
+    leaves_more_than_noise,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.projection import OrthogonalProjection
@@ -271,7 +271,7 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
 def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> RoundEnd | None:
     """Return a round that a single effect has won in the place of all; None if they stay.
 
-    Only where they may not be claimed. It is a free curve or filter, or a form of the library to
+    Only where they leave more than noise. It is a free curve or filter, or a form of the library to
     which one leads. It must fit better, also if what is left is noise as coloured as it looks, and
     predict better; a curve or filter must fit better by the price of a choice among all pairs.
 
@@ -284,8 +284,9 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     """
     current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
+    left = leaves_more_than_noise(current, first.floor)
     tried = first.has(LoopPart.FREE_CURVE) or first.has(LoopPart.FREE_DYNAMICS)
-    if free or can_be_claimed(first, current) or not tried:
+    if free or not left or not tried:
         return None
     first = with_filters(fitter, first)
     coarse = coarse_curves(fitter, first)

@@ -1,9 +1,10 @@
 """The moves of a search: each proposes structures, from one, the ranking at it, and the data.
 
 `MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, one
-more without an earlier one, a free curve, a free filter. `drop` takes out what no longer pays, of a
-structure that has passed the gates. `LoopPart` has their names, by which a setting leaves them out.
-What they share is pruned in one place (`refits.py`, `linear_model.py`).
+more without an earlier one, a free curve, a free filter. Of a structure that has passed the gates,
+`drop` takes out what no longer pays, and `release_widths` estimates how wide its switches are.
+`LoopPart` has their names, by which a setting leaves them out. What they share is pruned in one
+place (`refits.py`, `linear_model.py`).
 """
 
 from __future__ import annotations
@@ -24,7 +25,13 @@ from cluster_est.closed_loop.selection.argument_functions import (
     with_filters,
 )
 from cluster_est.closed_loop.selection.gates import GATES, SELECTION
-from cluster_est.closed_loop.selection.linear_model import REFINEMENT
+from cluster_est.closed_loop.selection.linear_model import (
+    REFINEMENT,
+    PruningBound,
+    can_reach_with,
+    gauss_newton_step,
+    shares_left,
+)
 from cluster_est.closed_loop.selection.refits import (
     ALIKE,
     SHORT,
@@ -46,7 +53,12 @@ from cluster_est.closed_loop.selection.rounds import (
     useful_sse,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from cluster_est.problem.parameter import Parameter
+from workers.effects.kinds import GridScale
 from workers.messages import FloatArray
+
+WIDTHS = (0.3, 2.5, 8.0, 25.0)
+"""Widths of a switch that are tried, over the held one."""
 
 BEAM = 4
 """Single effects that are grown to pairs at most."""
@@ -133,7 +145,7 @@ def _grown(
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(found, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
-    return list(best.values())
+    return with_widths(fitter, begun, list(best.values()))
 
 
 def _leaves_much(begun: RoundStart) -> bool:
@@ -272,3 +284,84 @@ def drop(fitter: Fitter, begun: RoundStart, model: FittedModel) -> FittedModel:
         if fall < least:
             model = rest
     return model
+
+
+def with_widths(
+    fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """Return contenders, the best few with the widths of their switches where that pays.
+
+    Only those that may come near the best by it. A form without a width would else win over one
+    whose width is wrong.
+    """
+    most = min((c.criterion for c in contenders), default=np.inf) + REFINEMENT.alternative
+    found = []
+    for number, contender in enumerate(contenders):
+        model = contender.fitted
+        if number < REFINEMENT.finalists:
+            model = release_widths(fitter, begun, model, most)
+        if model is not contender.fitted:
+            criterion = model.criterion(fitter.records)
+            contender = RefittedCandidate(model, criterion, True, LoopPart.SWITCH_WIDTHS)
+        found.append(contender)
+    return sorted(found, key=lambda c: c.criterion)
+
+
+def release_widths(
+    fitter: Fitter, begun: RoundStart, model: FittedModel, most: float = np.inf
+) -> FittedModel:
+    """Refit a structure with the widths of its switches as unknowns, where that pays.
+
+    A dry friction is a switch; a simulation needs it to have a width. How wide matters little where
+    the friction is small against the noise, so a search holds it. Where the friction is large the
+    width is seen, and what a wrong one leaves would be patched with further effects. Each of some
+    widths is simulated, and the linear model says how the other unknowns follow. What cannot come
+    down to a criterion of `most` is not refitted.
+    """
+    held = _held_widths(model)
+    if not held or not begun.has(LoopPart.SWITCH_WIDTHS):
+        return model
+    parameters = tuple(held.get(p.name, p) for p in model.problem.parameters)
+    start = replace(model.start, problem=replace(model.problem, parameters=parameters))
+    space = fitter.space(start)
+    points = np.tile(space.start, (len(WIDTHS), 1))
+    for i, unknown in enumerate(space.unknowns):
+        if unknown.label in held:  # in logarithms
+            points[:, i] = np.log(held[unknown.label].start) + np.log(WIDTHS)
+    points = np.clip(points, space.lower, space.upper)
+    (answers,) = fitter.evaluate(LoopStage.TRIALS, [(space, points)])
+    found = []
+    for point, at in zip(points, answers, strict=True):
+        if at.ok:
+            step = gauss_newton_step(model.jacobian, at.residuals)
+            after = at.residuals + model.jacobian @ step
+            found.append((float(np.add.reduce(after**2)), after, point))
+    if not found:
+        return model
+    _, after, point = min(found, key=lambda each: each[0])
+    left = shares_left(fitter.records, model.residuals, after)
+    own = model.criterion(fitter.records)
+    bound = PruningBound(criterion=min(own, most))
+    if not can_reach_with(fitter.records, model, left, len(held), bound):
+        return model
+    best = replace(start, values={**start.values, **space.estimates(point)})
+    (fit,) = fitter.fit(LoopStage.REFITS, [best], full_refit(fitter))
+    return fit if fit is not None and fit.criterion(fitter.records) < own else model
+
+
+def _held_widths(model: FittedModel) -> dict[str, Parameter]:
+    """The parameters that hold widths of switches, by name, free between the ends of their grids.
+
+    Widths are small parts of how much their variables move. What a power law refers to is held for
+    good, and no width.
+    """
+    known = {p.name: p for p in model.problem.parameters if p.fixed}
+    found = {}
+    for candidate in model.added:
+        columns = zip(*candidate.grid, strict=True)
+        for c, values in zip(candidate.form.coefficients, columns, strict=True):
+            held = known.get(f"{candidate.effect.name}.{c.name}")
+            if held is not None and c.scale is GridScale.RMS_V:
+                bounds = min(*values, held.start), held.upper  # a start may be below by rounding
+                found[held.name] = replace(held, fixed=False, bounds=bounds, scale="log")
+    return found

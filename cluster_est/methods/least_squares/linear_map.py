@@ -427,7 +427,7 @@ def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
     weights = space.problem.cost.weights(at.residuals, space.outputs)
     if weights is None:
         raise ProblemError(
-            f"cost.name: must be one with weights for a least-squares method, but is "
+            "cost.name: must be a cost with weights for a least-squares method, but is "
             f'{space.problem.cost.name!r}; use method.name = "sqp" or another cost'
         )
     return np.clip(weights, 0.0, LARGEST_RESIDUAL_WEIGHT)

@@ -89,14 +89,15 @@ class ScipyLeastSquares(Method):
         cost = space.problem.cost
         if not isinstance(cost, SumSquared):
             raise ProblemError(
-                f"method.name: {self.name} minimises the sum of squares but cost.name is "
-                f'{cost.name!r}; choose "least_squares", which weights residuals, or "sse"'
+                f"method.name: {self.name} minimises the sum of squares, but cost.name is "
+                f'{cost.name!r}; use method "least_squares", which supports other costs by '
+                'weighting the residuals, or cost "sse"'
             )
         bounded = np.isfinite(space.lower).any() or np.isfinite(space.upper).any()
         if self.algorithm == "lm" and bounded:
             raise ProblemError(
-                'method.options.algorithm: "lm" cannot keep bounds but a parameter has some; use '
-                '"trf" or remove them'
+                'method.options.algorithm: "lm" does not support bounds, but a parameter has some; '
+                'use "trf" or remove the bounds'
             )
 
     @override

@@ -71,22 +71,22 @@ class Nsga2(PymooMethod):
         if space.priors:
             raise ProblemError(
                 f"method.name: {self.name} treats the costs of outputs or experiments separately, "
-                "and a prior belongs to none of them; remove the priors, or use another method"
+                "but a prior belongs to neither; remove the priors, or use another method"
             )
         if self.objectives == "outputs" and any(
             space.problem.experiments[e].cost_function for e in space.experiments
         ):
             raise ProblemError(
                 'method.options.objectives: must be "experiments" if an experiment has a cost '
-                'function, which is not a cost of a single output, but is "outputs"; change it, '
-                "or remove the cost functions"
+                'function, because its cost does not belong to a single output, but is "outputs"; '
+                "change it, or remove the cost functions"
             )
         count = ParetoFront.count(self.objectives, space)
         if count < 2:
             raise ProblemError(
-                f"method.options.objectives: there must be at least two {self.objectives} to keep "
-                f"apart but there {'is one' if count else 'are none'}; choose "
-                '"outputs" or "experiments", whichever there are more of, or another method'
+                f"method.options.objectives: there must be at least two {self.objectives} to treat "
+                f"separately, but there {'is one' if count else 'are none'}; set objectives to "
+                '"outputs" or "experiments", whichever are more, or use another method'
             )
 
     @override

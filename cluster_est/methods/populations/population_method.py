@@ -252,14 +252,14 @@ class PopulationMethod(Method):
         if 0 < self.population < self.least_population:
             raise ProblemError(
                 f"method.options.population: must be at least {self.least_population} for method "
-                f'"{self.name}" but is {self.population}; raise it, or set 0 for the usual size'
+                f'"{self.name}" but is {self.population}; raise it, or set 0 for the default size'
             )
         if space.equality.any() and not self.keeps_equality:
             name = space.constraint_names[int(np.argmax(space.equality))]
             raise ProblemError(
                 f'constraints: must be inequalities for method "{self.name}", but {name!r} is an '
-                'equality, which hardly any point of a population satisfies; use method "isres", '
-                '"sqp" or "least_squares", or make a parameter depend on others by an expression'
+                'equality, which almost no point of a population satisfies; use method "isres", '
+                '"sqp" or "least_squares", or define one parameter by an expression in the others'
             )
         if self.needs_bounds and not UnitBox(space).bounded.all():
             unknown = space.unknowns[int(np.argmin(UnitBox(space).bounded))]
@@ -288,11 +288,11 @@ class PopulationMethod(Method):
 
 def _unbounded(method: str, unknown: Unknown) -> str:
     p = unknown.parameter
-    positive = " and positive, as its scale is logarithmic," if unknown.log else ""
+    positive = " and positive, because its scale is logarithmic," if unknown.log else ""
     return (
         f"{dotted('parameters', p.name)}.bounds: must be finite on both sides{positive} for method "
-        f'"{method}", which spreads its first points between them, but are '
-        f"[{p.lower:g}, {p.upper:g}]; set both, or use a method that needs none"
+        f'"{method}", which spreads its first points between them, but are [{p.lower:g}, '
+        f"{p.upper:g}]; set both bounds, or use a method that needs no bounds"
     )
 
 
@@ -314,7 +314,7 @@ def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Ge
         new_members = [member_of(*three, goal) for three in zip(units, x, evaluations, strict=True)]
         best = _better(best, new_members, evaluations)
         if best is None:
-            reason = evaluations[0].reason or "the cost of the start is not a number"
+            reason = evaluations[0].reason or "the cost at the start is not a number"
             return Solution(space.start, np.nan, Ending.START_FAILED, reason)
         numbers = range(asked, asked + len(new_members))
         asked, generation = numbers.stop, generation + 1
@@ -365,13 +365,13 @@ def _ending(
     if progress.step <= method.xtol:
         return Ending.CONVERGED, "converged: the population has contracted to within xtol"
     if settled:
-        no_progress = f"the last {method.window} generations gained no more than ftol"
+        no_progress = f"the last {method.window} generations lowered the cost by no more than ftol"
         return Ending.CONVERGED, f"converged: {no_progress}"
     if progress.iteration >= method.max_generations:
         ended = f"stopped after {method.max_generations} generations"
         return Ending.MAX_ITERATIONS, f"{ended}; raise method.options.max_generations"
     if exhausted:
-        return Ending.STALLED, "the population no longer makes new points"
+        return Ending.STALLED, "the population produces no new points"
     return None
 
 
@@ -380,6 +380,6 @@ def _solution(
 ) -> Solution:
     x, cost, violation = best.member.x, best.member.cost, best.member.violation
     if violation > 0.0:
-        message = f"{Ending.INFEASIBLE}, the best violates them by {violation:.2g}; {message}"
+        message = f"{Ending.INFEASIBLE}; the best point violates them by {violation:.2g}; {message}"
         ending = Ending.INFEASIBLE
     return Solution(x, cost, ending, message, iterations, at=best.at, others=others)

@@ -52,8 +52,8 @@ ZERO_COST = 1e-16
 """A cost this much smaller than the largest so far counts as zero."""
 OPTIMALITY_TOLERANCE = 1e-3
 AT_A_KINK = (
-    "no step longer than xtol lowers the cost, but the gradient is not zero, as at a kink or "
-    "with noisy simulations"
+    "no step longer than xtol lowers the cost, but the gradient is not zero, as happens at a kink "
+    "or with noisy simulations"
 )
 
 DerivativeRequests = Generator[Points, list[Evaluation], CostDerivatives]

@@ -83,8 +83,8 @@ def table_of(given: Any, where: str) -> MeasuredTable:
     if hasattr(given, "__arrow_c_stream__") or isinstance(given, pa.RecordBatch):
         return named_columns("the table", pa.table(given))
     raise DataError(
-        f"{where}: the table must be of pandas, polars or pyarrow, a dict of columns or a path but "
-        f"is {type(given).__name__!r}; convert it"
+        f"{where}: must be a pandas, polars or pyarrow table, a dict of columns or a path, but is "
+        f"{type(given).__name__!r}; convert it"
     )
 
 
@@ -113,7 +113,7 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
             columns[name] = pa.chunked_array([pa.array(column, from_pandas=True)])
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
-            unusable[name] = f"must hold numbers but cannot be read ({reason})"
+            unusable[name] = f"must hold numbers, but cannot be read ({reason})"
     return MeasuredTable("the table", columns, unusable)
 
 
@@ -282,7 +282,7 @@ def _named(given: Columns, where: str, known: tuple[str, ...]) -> dict[str, Mapp
         entry = {"column": each} if isinstance(each, str) else each
         if not isinstance(entry, Mapping) or "column" not in entry:
             raise DataError(
-                f"{where}.{name}: must be a column's name or {{{', '.join(known)}}} but is "
+                f"{where}.{name}: must be the name of a column or {{{', '.join(known)}}}, but is "
                 f"{shown(each)}"
             )
         for key in entry:
@@ -378,8 +378,8 @@ def _rows(rows: tuple[int, int] | None, where: str) -> tuple[int, int] | None:
         check_number(value, f"{where}.rows[{i}]", DataError, least=0, whole=True)
     if len(rows) != 2 or not rows[0] < rows[1]:
         raise DataError(
-            f"{where}.rows: must be [from, to] with from below to but is {list(rows)}; swap them, "
-            "or leave it out to use all rows"
+            f"{where}.rows: must be [from, to] with from below to, but is {list(rows)}; swap them, "
+            "or leave rows out to use all rows"
         )
     return int(rows[0]), int(rows[1])
 

@@ -60,8 +60,8 @@ def read_table(
     kind = format_of(path)
     if kind is None:
         raise DataError(
-            f"{where}: {path} must end in one of {', '.join(ENDINGS)} but ends in "
-            f"{path.suffix!r}; {INSTEAD.get(path.suffix.lower(), 'convert it or rename it')}"
+            f"{where}: {path} must end in one of {', '.join(ENDINGS)}, but ends in "
+            f"{path.suffix!r}; {INSTEAD.get(path.suffix.lower(), 'convert the file or rename it')}"
         )
     _refuse_idle(kind, reading, path, where)
     try:
@@ -75,8 +75,8 @@ def read_table(
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise DataError(
-            f"{where}: {path} must be a {kind.name} file that can be read but is not ({reason}); "
-            "check that it is complete, or save it again"
+            f"{where}: {path} must be a readable {kind.name} file, but is not ({reason}); check "
+            "that it is complete, or save it again"
         ) from error
 
 
@@ -94,11 +94,15 @@ def _checked(given: Reading | Mapping[str, Any] | None, where: str) -> Reading:
         elif key == "long":
             values[key] = as_tuple(value, str, at, DataError)
             if len(values[key]) != 2:
-                raise DataError(f"{at}: must be (names, values), two columns, but is {value!r}")
+                raise DataError(
+                    f"{at}: must be the names of two columns, (names, values), but is {value!r}"
+                )
         else:
             check_kind(value, str, at, DataError)
     if values.get("decimal", "") not in ("", ".", ","):
-        raise DataError(f'{where}.reading.decimal: must be "." or "," but is {values["decimal"]!r}')
+        raise DataError(
+            f'{where}.reading.decimal: must be "." or ",", but is {values["decimal"]!r}'
+        )
     return Reading(**values)
 
 
@@ -108,6 +112,6 @@ def _refuse_idle(kind: TableFormat, reading: Reading, path: Path, where: str) ->
     for key in vars(reading):
         if key not in known and getattr(reading, key) != getattr(usual, key):
             raise DataError(
-                f"{where}.{key}: must be left out, because {path} is a {kind.name} file, but is "
-                "there; remove it"
+                f"{where}.{key}: must be left out, because it has no meaning for {path}, a "
+                f"{kind.name} file, but is given; remove it"
             )

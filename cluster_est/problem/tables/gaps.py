@@ -252,14 +252,14 @@ MOST_NAMED_GAPS, MOST_FINDINGS = 4, 12
 """Gaps of a record that a sentence names, and sentences."""
 EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     "split": (
-        " may have changed there, so the part after it begins with its own initial states, which "
-        "are estimated",
-        'gaps = "bridge" in the experiment interpolates the inputs instead',
+        " may have changed there, so a new part begins after the gap; its initial states are "
+        "estimated",
+        'to interpolate the inputs instead, set gaps = "bridge" in the experiment',
     ),
-    "left out": (" may have changed there, and the part after it is left out", ""),
+    "left out": (" may have changed there, so the part after the gap is left out", ""),
     "bridged": (
-        " may have changed there, and is interpolated in a straight line or held",
-        'gaps = "split" in the experiment starts a new part after it',
+        " may have changed there; a straight line, or the last value before it, bridges the gap",
+        'to start a new part after the gap, set gaps = "split" in the experiment',
     ),
     "before": ("the record begins after the gap", ""),
     "run through": ("the inputs are known in the gap, and the simulation continues through it", ""),
@@ -291,7 +291,7 @@ def _sentence(alike: Sequence[RecordGap]) -> str:
     gap, count = alike[0], len(alike)
     named = [each.interval for each in alike[:MOST_NAMED_GAPS]]
     more = f" and {count - MOST_NAMED_GAPS} more" if count > MOST_NAMED_GAPS else ""
-    what = f"{gap.missing} not measured" if gap.missing else "nothing measured"
+    what = f"no data for {gap.missing}" if gap.missing else "no data at all"
     has = "a gap of" if count == 1 else f"{count} gaps:"
     who = named_signals("input", gap.moving) if gap.moving else ""
     because = f" ({gap.why})" if gap.why else ""

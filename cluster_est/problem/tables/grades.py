@@ -38,7 +38,7 @@ def with_grades(
     repeated = [word for word, count in Counter(grades).items() if count > 1]
     if repeated:
         raise DataError(
-            f"{where}.ordinal: must name each grade once but names {repeated[0]!r} several times; "
+            f"{where}.ordinal: must name each grade once, but names {repeated[0]!r} several times; "
             "remove one"
         )
     cells = table.columns.get(column)
@@ -50,8 +50,8 @@ def with_grades(
         cells = pa.chunked_array([pa.array(_as_words(cells, grades))])
     if isinstance(cells, np.ndarray) or not is_text(cells):
         raise DataError(
-            f"{where}.ordinal: {table.path}, column {column!r}: must hold the words that are "
-            "listed but holds numbers; write ordinal = true"
+            f"{where}.ordinal: {table.path}, column {column!r}: must hold the listed words, but "
+            "holds numbers; write ordinal = true"
         )
     words = trimmed_cells(cells).to_pylist()
     places = {word: float(place) for place, word in enumerate(grades, 1)}
@@ -59,7 +59,7 @@ def with_grades(
         if word is not None and word not in places:
             raise DataError(
                 f"{where}.ordinal: {table.path}, column {column!r}, row {table.row(i)}: must be "
-                f"one of the grades that are listed but is {word!r}{nearest(word, grades)}"
+                f"one of the listed grades, but is {word!r}{nearest(word, grades)}"
             )
     numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
     graded = replace(table, columns={**table.columns, column: numbers})

@@ -241,10 +241,9 @@ def jump_findings(
     """
     return tuple(
         (
-            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps "
-            f"{_where(records)}; straight lines between its samples turn the jumps into ramps, "
-            "which a fit may confuse with a delay",
-            f"{interpolated(name, columns, 'hold')}, if it keeps each sample until the next",
+            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps {_where(records)}; "
+            "linear interpolation turns the jumps into ramps, which a fit may confuse with a delay",
+            f"{interpolated(name, columns, 'hold')}, if the input keeps each sample until the next",
         )
         for name, records in jumping_inputs(experiments, holds).items()
     )

@@ -33,17 +33,19 @@ def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
     """
     for name in (names, values):
         if name not in table.columns:
-            raise DataError(f"has no column {name!r}, which long names; {table.without(name)}")
+            raise DataError(
+                f"has no column {name!r}, which the key long names; {table.without(name)}"
+            )
     signals = table.tests(names, "long")
     others = {name: each for name, each in table.columns.items() if name not in (names, values)}
     for signal in signals:
         if signal in others:
             raise DataError(
-                f"must not have the signal {signal!r} in {names!r}, because a column has the same "
-                "name; rename one"
+                f"must not have the signal {signal!r} in column {names!r}, because a column has "
+                "the same name; rename one of the two"
             )
     columns = others | dict.fromkeys(signals, table.columns[values])
-    note = f"it has a row for each value, of the {len(signals)} signals in {names!r}"
+    note = f"it has one row for each value; column {names!r} names the {len(signals)} signals"
     return replace(
         table, columns=columns, long_values=values, signals=signals, notes=(*table.notes, note)
     )

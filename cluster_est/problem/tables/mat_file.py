@@ -186,7 +186,10 @@ def object_of_matlab(name: str, kind: str) -> str:
     """
     short = name.rpartition(".")[2]
     typed = TYPED_IN_MATLAB.get(kind, VECTORS).replace("{it}", name).replace("{short}", short)
-    return f"a {kind} of MATLAB, which only MATLAB can read; type there: {typed}"
+    return (
+        f"a MATLAB object of class {kind}, which only MATLAB can read; to convert it, run this in "
+        f"MATLAB: {typed}"
+    )
 
 
 def _structure(
@@ -199,7 +202,7 @@ def _structure(
     (longest,) = _unpack(f"{order}i", length, 0)
     at, texts = _element(body, at, order, (NAME_TYPE,))
     if not 0 < longest <= LONGEST_FIELD_NAME:
-        raise ValueError(f"a structure has names of {longest} bytes")
+        raise ValueError(f"a structure has names with an impossible length of {longest} bytes")
     names = [
         texts[i : i + longest].split(b"\0")[0].decode("latin-1")
         for i in range(0, len(texts), longest)

@@ -114,8 +114,12 @@ class MeasuredColumns:
             source = f"sample_time = {sample_time}"
         if len(times) < 2:
             raise DataError(
-                f"{self.where}: must use at least two rows of {path} but uses {len(times)}; "
-                + ("check rows" if self.rows else "it needs measurements below its header")
+                f"{self.where}: must use at least two rows of {path}, but uses {len(times)}; "
+                + (
+                    "check rows"
+                    if self.rows
+                    else "check that there are measurements below the header"
+                )
             )
         check_times(times, f"{self.where}: {source}", lambda i: f"row {self._row(i)}")
         return times
@@ -158,8 +162,8 @@ class MeasuredColumns:
         first, last = self.rows
         if last > len(rows):
             raise DataError(
-                f"{self.where}.rows: must lie within the {len(rows)} rows of "
-                f"{self.table.path} but is [{first}, {last}]; lower its end"
+                f"{self.where}.rows: must lie within the {len(rows)} rows of {self.table.path}, "
+                f"but is [{first}, {last}]; lower its end"
             )
         return rows[first:last]
 
@@ -182,8 +186,8 @@ class MeasuredColumns:
             return times
         if self.rows is not None:
             raise DataError(
-                f"{self.where}.rows: must be left out if columns have their own times, as "
-                f"{name!r} has, but is given; use start and stop"
+                f"{self.where}.rows: must be left out if columns have their own times, as {name!r} "
+                "has, but is given; use start and stop instead"
             )
         first, rows = self.clock(clock.time), table.rows_of(resolved)
         source = clock.time if selected else str(own)
@@ -257,14 +261,14 @@ class MeasuredColumns:
         lengths = {len(values) for values in found}
         if len(lengths) > 1:
             raise DataError(
-                f"{self.where}.curve: all columns must have the same number of rows but have "
-                f"{' and '.join(str(n) for n in sorted(lengths))}; choose others"
+                f"{self.where}.curve: all columns must have the same number of rows, but have "
+                f"{' and '.join(str(n) for n in sorted(lengths))}; choose other columns"
             )
         points = np.column_stack(found)
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2:
             raise DataError(
-                f"{self.where}.curve: must have at least two points but has {len(points)} in "
+                f"{self.where}.curve: must have at least two points, but has {len(points)} in "
                 f"{self.table.path}; check the columns and rows"
             )
         return np.ascontiguousarray(points)
@@ -288,8 +292,8 @@ class MeasuredColumns:
         check_length(values, times, f"{self.where}.{key}: {column}")
         if np.isnan(values).all():
             raise DataError(
-                f"{self.where}.{key}: {column} must hold at least one number but is empty in "
-                f"these rows; choose another column or remove {key}"
+                f"{self.where}.{key}: {column} must hold at least one number, but is empty in the "
+                f"used rows; choose another column or remove {key}"
             )
         infinite = np.flatnonzero(np.isinf(values))
         if len(infinite):
@@ -305,7 +309,7 @@ class MeasuredColumns:
         if len(without):
             raise DataError(
                 f"{self.where}: {self.table.path}, column {name!r}, row "
-                f"{self.table.row(int(without[0]), name)}: must have a time for each value but "
+                f"{self.table.row(int(without[0]), name)}: must have a time for each value, but "
                 "has none; correct that row"
             )
         return known
@@ -346,8 +350,8 @@ def interval(
         stop = float(max((o.times[-1] for o in outputs if len(o.times)), default=times[-1]))
     if not start < stop:
         raise DataError(
-            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one, or "
-            "leave both to the data"
+            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
+            "one of them, or leave both out to take them from the data"
         )
     return start, stop
 
@@ -358,7 +362,7 @@ def missing_time(where: str, time: str | None, sample_time: float | None) -> str
     if len(given) == 1:
         return ""
     has = "both; remove one" if given else "neither; add one"
-    return f"{where}: must have either time (a column) or sample_time (seconds) but has {has}"
+    return f"{where}: must have either time (a column) or sample_time (seconds), but has {has}"
 
 
 def without_samples(output: Output, times: Sequence[float], where: str) -> Output:
@@ -376,8 +380,8 @@ def without_samples(output: Output, times: Sequence[float], where: str) -> Outpu
         if not len(apart) or apart[at] > SAME_TIME * max(abs(time), float(np.ptp(output.times))):
             nearest_time = f"; the nearest is {output.times[at]:.10g} s" if len(apart) else ""
             raise DataError(
-                f"{where}: must be the times of samples but there is none at {time:.10g} s"
-                f"{nearest_time}; correct or remove it"
+                f"{where}: must be the times of samples, but there is no sample at {time:.10g} "
+                f"s{nearest_time}; correct or remove this time"
             )
         kept[at] = False
     return output if kept.all() else output.only(kept)
@@ -385,14 +389,17 @@ def without_samples(output: Output, times: Sequence[float], where: str) -> Outpu
 
 def sigma_without_output(where: str, name: str, outputs: Collection[str]) -> str:
     """The sentence on a standard deviation of what is no output."""
-    return f"{where}.{name}: must be named as one of its outputs but is not{nearest(name, outputs)}"
+    return (
+        f"{where}.{name}: must be one of the outputs of the experiment, but is "
+        f"not{nearest(name, outputs)}"
+    )
 
 
 def relative_without_sigma(where: str, name: str) -> str:
     """The sentence on noise that would be 0 where the signal is 0."""
     return (
-        f"{where}.relative_sigma.{name}: must be given with sigma.{name}, the noise at a signal "
-        "of 0, but is given alone; add it"
+        f"{where}.relative_sigma.{name}: must be given together with sigma.{name}, the noise at a "
+        f"signal of 0, but sigma.{name} is missing; add it"
     )
 
 

@@ -177,8 +177,8 @@ class MeasuredTable:
         if len(fitting) > 1 and where:
             listed = ", ".join(repr(each) for each in fitting[:MOST_NAMED_COLUMNS])
             raise DataError(
-                f"{where}: {self.path}, column {name!r}: must match one column but matches "
-                f"{listed}; write more of its name"
+                f"{where}: {self.path}, column {name!r}: must match one column, but matches "
+                f"{listed}; write more of the name"
             )
         return fitting[0] if len(fitting) == 1 else name
 
@@ -188,15 +188,15 @@ class MeasuredTable:
                 return text_numbers(column, self.reading.decimal, self.decimal)
             except AmbiguousNumberError as error:
                 raise UndecidedError(
-                    f"{where}: {self.path}, column {name!r}, row {self.line(error.index)}: "
-                    f"{error.cell!r} may have decimals or a thousands separator; say which with "
+                    f"{where}: {self.path}, column {name!r}, row {self.line(error.index)}: the "
+                    f"separator in {error.cell!r} may be a decimal or a thousands separator; set "
                     'decimal = "." or decimal = ","'
                 ) from None
             except pa.ArrowInvalid:
                 self._refuse(name, column, where)
         if not is_numeric(column):
             raise DataError(
-                f"{where}: {self.path}, column {name!r}: must hold numbers but holds "
+                f"{where}: {self.path}, column {name!r}: must hold numbers, but holds "
                 f"{column.type}; convert it to numbers"
             )
         return as_numbers(column)
@@ -243,8 +243,8 @@ class MeasuredTable:
         groups = self.tests(column, where)
         if value not in groups:
             raise DataError(
-                f"{where}.split_value: {self.path}, column {column!r}: has no {value!r}"
-                f"{nearest(value, [*groups])}"
+                f"{where}.split_value: {self.path}, column {column!r}: has no value "
+                f"{value!r}{nearest(value, [*groups])}"
             )
         return replace(self, rows=groups[value])
 
@@ -270,8 +270,8 @@ class MeasuredTable:
         index = first_text(column, self.reading.decimal, self.decimal)
         value = repr(column[index].as_py())
         raise DataError(
-            f"{where}: {self.path}, column {name!r}, row {self.line(index)}: must be a number but "
-            f"is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave it "
+            f"{where}: {self.path}, column {name!r}, row {self.line(index)}: must be a number, but "
+            f"is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave the cell "
             "empty if nothing was measured"
         )
 
@@ -310,7 +310,7 @@ def _label(value: object) -> str:
 
 def repeated(count: int) -> str:
     """The reason why a column that is there several times cannot be used."""
-    return f"must be there once but {count} columns have that name; rename them"
+    return f"must occur once, but {count} columns have that name; rename them"
 
 
 def once(pairs: Sequence[tuple[str, Column]]) -> tuple[dict[str, Column], dict[str, str]]:

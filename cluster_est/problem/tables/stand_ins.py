@@ -210,10 +210,10 @@ def stand_in_findings(
     values = sorted({*missing, *(each.stand_in.value for each in found)})
     listed = ", ".join(written(value) for value in values)
     read = any(each.column for each in found)
-    key = f"missing = [{listed}] in [experiment_defaults], or in the experiment,"
+    key = f"missing = [{listed}] in [experiment_defaults], or in the experiment"
     if not read:
-        key = f"missing=[{listed}] of Experiment.from_table"
-    do = f"{key} leaves such samples out, if nothing was measured there"
+        key = f"missing=[{listed}] in Experiment.from_table"
+    do = f"if nothing was measured there, leave these samples out with {key}"
     return tuple((_said(group), do) for group in groups.values())
 
 
@@ -237,7 +237,7 @@ def _said(group: Sequence[FoundStandIn]) -> str:
     low, high = min(one.low for one in each), max(one.high for one in each)
     return (
         f"{kind[:-1]} {name} is {written(each[0].value)} in {count} of {samples} samples{of} in "
-        f"{runs}, far from all others, which are between {low:.4g} and {high:.4g}"
+        f"{runs}, far from all other values, which are between {low:.4g} and {high:.4g}"
     )
 
 

@@ -158,7 +158,7 @@ def added(date: Stamps, clock: Stamps) -> Stamps:
     if date.kind == "clock":
         date, clock = clock, date
     if (date.kind, clock.kind) not in (("date", "clock"), ("instant", "clock")):
-        raise StampError("must be a column of dates and one of times of day but are not")
+        raise StampError("must be a column of dates and a column of times of day, but are not")
     known = date.known & clock.known
     return Stamps(date.ns + clock.ns, "instant", known, clock.aware, date.said)
 
@@ -201,7 +201,7 @@ def _from_text(column: pa.ChunkedArray, reading: Reading) -> Stamps | None:
             return None
         raise StampError(
             f"must be a time like the others, {patterns[0][0]}, but is {column[index].as_py()!r}; "
-            'correct it, or say how times are written, as in time_format = "%d.%m.%Y %H:%M:%S"',
+            'correct it, or give the format of the times, as in time_format = "%d.%m.%Y %H:%M:%S"',
             index,
         )
     return _told(good)
@@ -235,10 +235,10 @@ def _told(good: Sequence[tuple[str, Stamps]]) -> Stamps:
     others = [(n, s) for n, s in good[1:] if not _same_seconds(first, s)]
     if others:
         choices = " or ".join(inline(n) for n in (name, *(n for n, _ in others)))
-        raise StampError(f"may be read in several ways; say which with time_format = {choices}")
+        raise StampError(f"can be read in several ways; choose one with time_format = {choices}")
     said = f"times are read as {name}"
     if len(good) > 1:
-        said += f" (as {good[1][0]} they give the same seconds)"
+        said += f" (reading them as {good[1][0]} gives the same seconds)"
     return replace(first, said=said)
 
 
@@ -270,12 +270,12 @@ def _pattern_of(given: str) -> str:
         pattern = _PARTS.get(part)
         if part.startswith("%") and pattern is None and len(part) == 2:
             raise StampError(
-                f"time_format: must have only the parts {', '.join(_PARTS)} but has {part!r}"
+                f"time_format: must have only the parts {', '.join(_PARTS)}, but has {part!r}"
             )
         if part == "%S" and "%f" in parts:
             pattern = r"(?P<S>\d{1,2})"
         if pattern is not None and part in seen:
-            raise StampError(f"time_format: must have {part!r} once but has it twice")
+            raise StampError(f"time_format: must have {part!r} once, but has it twice; remove one")
         seen.add(part)
         found.append(re.escape(part).replace("\\ ", " +") if pattern is None else pattern)
     return "".join(found)
@@ -388,7 +388,9 @@ def _over_midnight(stamps: Stamps) -> Stamps:
         return stamps
     ns = stamps.ns.copy()
     ns[stamps.known] = known + nights * DAY
-    return replace(stamps, ns=ns, said=f"{stamps.said or 'times of day'}, over midnight")
+    return replace(
+        stamps, ns=ns, said=f"{stamps.said or 'times of day'}; the record runs past midnight"
+    )
 
 
 def _zone(name: str) -> ZoneInfo:
@@ -396,8 +398,8 @@ def _zone(name: str) -> ZoneInfo:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError):
         raise StampError(
-            f"time_zone: must be a time zone such as Europe/Berlin but is {name!r}; correct it, "
-            "or install the zones: pip install tzdata"
+            f"time_zone: must be a time zone such as Europe/Berlin, but is {name!r}; correct it, "
+            "or install the time zones with: pip install tzdata"
         ) from None
 
 
@@ -452,8 +454,8 @@ def _refuse_changed_clocks(stamps: Stamps) -> None:
             np.datetime64(int(each), "ns").astype("datetime64[s]") for each in ns[i : i + 2]
         )
         raise StampError(
-            f"goes from {before} to {after}, like clocks when summer time begins or ends; say "
-            'where they were recorded with time_zone = "Europe/Berlin", or time_zone = "UTC" if '
-            "they were not changed",
+            f"goes from {before} to {after}, as if clocks were changed for summer time; give the "
+            'place of the recording, as in time_zone = "Europe/Berlin", or write time_zone = "UTC" '
+            "if the clocks were not changed",
             row,
         )

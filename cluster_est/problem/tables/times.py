@@ -107,8 +107,8 @@ def read_times(
         return _of_numbers(table, column, rows, where, (factor, offset), since)
     if factor not in (None, 1.0) or offset:
         raise DataError(
-            f"{where}.columns: the time, column {column!r}, must have no factor or offset, "
-            "because it has timestamps, but has one; remove it"
+            f"{where}.columns: the time column {column!r} contains timestamps, so it must have no "
+            "factor or offset, but has one; remove it"
         )
     ns, known = stamps.ns, stamps.known
     if not known.any():
@@ -117,7 +117,7 @@ def read_times(
     if stamps.kind == "elapsed":
         origin = 0
     if not isinstance(origin, int):
-        raise DataError(f"{at}: must hold numbers as the other times do but holds timestamps")
+        raise DataError(f"{at}: must hold numbers, as the other times do, but holds timestamps")
     seconds = np.where(known, (ns - origin) / 1e9, np.nan)
     return TableTimes(seconds, origin, _said(column, stamps, origin))
 
@@ -134,7 +134,10 @@ def _said(column: str, stamps: Stamps, origin: int) -> str:
     if stamps.kind == "clock":
         first = f"{origin // HOUR:02d}{first.partition(' ')[2][2:]}"
     zone = " UTC" if stamps.aware else ""
-    return f"its times, column {column!r}, are seconds since the first row, {first}{zone}{how}"
+    return (
+        f"its times, column {column!r}, are counted in seconds from the first row, "
+        f"{first}{zone}{how}"
+    )
 
 
 def _stamps(table: MeasuredTable, column: str, where: str) -> Stamps | None:
@@ -144,12 +147,12 @@ def _stamps(table: MeasuredTable, column: str, where: str) -> Stamps | None:
             read_stamps(table.column(name, where), table.reading) for name in column.split(JOINT, 1)
         )
         if date is None or clock is None:
-            raise StampError("must be a column of dates and one of times of day but are not")
+            raise StampError("must be a column of dates and a column of times of day, but are not")
         return added(date, clock)
     found = read_stamps(table.column(column, where), table.reading)
     if found is None and table.reading.time_format:
         raise StampError(
-            "time_format: must be left out, because the column has no text, but is given"
+            "time_format: must be left out, because the column has no text, but is given; remove it"
         )
     return found
 
@@ -167,18 +170,18 @@ def _of_numbers(
     values = table.numbers(column, where) if rows is None else None
     values = table.all_numbers(column, where)[rows] if values is None else values
     if since is not None and isinstance(since.origin, int):
-        raise DataError(f"{at}: must hold timestamps as the other times do but holds numbers")
+        raise DataError(f"{at}: must hold timestamps, as the other times do, but holds numbers")
     if factor is None and _are_days(values):
         change = f"{dotted('columns', column)} = {{ factor = "
         raise UndecidedError(
-            f"{at}: must be in seconds but look like the days of Excel or MATLAB; write "
-            f"{change}86400 }} if they are, or {change}1.0 }}"
+            f"{at}: must be in seconds, but looks like days as Excel or MATLAB count them; write "
+            f"{change}86400 }} if they are days, or {change}1.0 }} if they are seconds"
         )
     if factor is None and _are_ticks(values):
         origin = float(values[np.isfinite(values)][0]) if since is None else since.origin
         if isinstance(origin, float):
-            said = f"its times, column {column!r}, are ticks of 100 ns since 1601, as of Windows; "
-            said += "seconds since the first row are used"
+            said = f"its times, column {column!r}, are Windows times (units of 100 ns since 1601); "
+            said += "they are counted in seconds from the first row"
             return TableTimes((values - origin) * 1e-7, origin, said)
     factor = 1.0 if factor is None else factor
     unit = _epoch_unit(values, factor)
@@ -187,11 +190,13 @@ def _of_numbers(
     size = 1.0 / factor if factor != 1.0 else EPOCH_UNITS[unit]
     origin = float(values[np.isfinite(values)][0]) if since is None else since.origin
     if not isinstance(origin, float):
-        raise DataError(f"{at}: must count from the same time as the others but counts from 1970")
+        raise DataError(
+            f"{at}: must be counted from the same time as the other times, but is counted from 1970"
+        )
     day = np.datetime64(int(origin / size * 1e3), "ms").astype(str).replace("T", " ")
     said = (
-        f"its times, column {column!r}, are {unit} since 1970, and seconds since the first row, "
-        f"{day} UTC, are used"
+        f"its times, column {column!r}, are {unit} since 1970; they are counted in seconds from "
+        f"the first row, {day} UTC"
     )
     return TableTimes((values - origin) / size, origin, said)
 

@@ -17,15 +17,15 @@ Sort = Literal["inputs", "outputs"]
 UNIT_FACTORS: tuple[tuple[float, float, str], ...] = (
     (180.0 / math.pi, 0.0, "degrees for radians"),
     (30.0 / math.pi, 0.0, "1/min for rad/s"),
-    (1000.0, 0.0, "thousandths, such as mm for m or mbar for bar"),
-    (1e6, 0.0, "millionths, such as um for m"),
-    (100.0, 0.0, "percent, or cm for m"),
+    (1000.0, 0.0, "milli-units such as mm for units such as m"),
+    (1e6, 0.0, "micro-units such as um for units such as m"),
+    (100.0, 0.0, "percent or cm for fractions or m"),
     (60.0, 0.0, "per minute for per second"),
     (3600.0, 0.0, "per hour for per second"),
     (3.6, 0.0, "km/h for m/s"),
     (1e5, 0.0, "Pa for bar"),
-    (9.80665, 0.0, "newtons for kilograms of weight"),
-    (1.8, 0.0, "kelvins of Fahrenheit's scale"),
+    (9.80665, 0.0, "newtons for kilograms-force"),
+    (1.8, 0.0, "degrees Fahrenheit for kelvins (as differences)"),
     (1.0, 273.15, "K for degC"),
     (1.8, 32.0, "degF for degC"),
     (1.8, -459.67, "degF for K"),
@@ -86,14 +86,19 @@ class RecordFault:
     def sentence(self) -> str:
         """Say what is wrong, how well it is known, and what mends it."""
         if self.kind == "foreign source":
-            return f"look at the records first: {self.said}; {self.remedy}"
+            return f"check the records first: {self.said}; {self.remedy}"
         own = f"experiment {self.experiment}"
         apart = (
-            f"{own} is the faulty one: without it, the others fit to within the noise; its own "
-            f"error is {self.before:.2g} times the noise, {self.after:.2g} after the correction"
+            f"{own} is the faulty one, because without it the other experiments fit to within the "
+            f"noise; its error is {self.before:.2g} times the noise, and {self.after:.2g} times "
+            "after the correction"
         )
-        alike = f" ({' or '.join(self.others)} would look the same)" if self.others else ""
-        return f"look at the record of {own} first: {self.said}{alike}; {apart}; {self.remedy}"
+        alike = (
+            f" (or {' or '.join(self.others)}, which would look the same in these data)"
+            if self.others
+            else ""
+        )
+        return f"check the record of {own} first: {self.said}{alike}; {apart}; {self.remedy}"
 
     @property
     def said(self) -> str:
@@ -102,37 +107,40 @@ class RecordFault:
         if self.kind == "gain":
             how = "large" if abs(self.size) > 1.0 else "small"
             factor = abs(self.size) if abs(self.size) > 1.0 else 1.0 / abs(self.size)
-            return f"{what} {name} looks {factor:.4g} times too {how}"
+            return f"{what} {name} seems to be {factor:.4g} times too {how}"
         if self.kind == "sign":
-            return f"{what} {name} has the wrong sign"
+            return f"{what} {name} seems to have the wrong sign"
         if self.kind == "offset":
             unit = f" {self.unit}" if self.unit not in ("", "1") else ""
             where = "high" if self.size > 0.0 else "low"
             return f"{what} {name} is {abs(self.size):.4g}{unit} too {where}"
         if self.kind == "unit":
-            return f"{what} {name} seems to be in another unit: {self.unit}"
+            return (
+                f"{what} {name} seems to be in the wrong unit: "
+                f"{self.unit.replace(' for ', ' instead of ')}"
+            )
         late = "late" if self.size > 0.0 else "early"
         if self.kind == "delay":
             return f"{what} {name} is {readable_time(abs(self.size))} {late}"
         if self.kind == "clock":
             return (
-                f"all outputs are equally {late} against the inputs, by "
-                f"{readable_time(abs(self.size))}: one clock offset"
+                f"all outputs are {readable_time(abs(self.size))} {late} relative to the inputs, "
+                "which suggests a clock offset"
             )
         if self.kind == "swapped":
-            return f"{self.sort} {name} look swapped"
+            return f"{self.sort} {name} seem to be swapped"
         if self.kind == "initial state":
-            return f"it begins at another {name} than declared"
+            return f"its initial state {name} differs from the declared one"
         low, high = self.frequencies
         return (
-            f"an unmeasured periodic disturbance acts on {name}, with frequencies of {low:.4g} to "
-            f"{high:.4g} Hz, which differ between records and are in no input"
+            f"an unmeasured periodic disturbance acts on {name}; its frequencies, {low:.4g} to "
+            f"{high:.4g} Hz, differ between records and occur in no input"
         )
 
     @property
     def remedy(self) -> str:
         """The keys of a config that mend it."""
-        aside = 'or role = "test" leaves the record out of the fit' if self.experiment else ""
+        aside = 'or leave the record out of the fit with role = "test"' if self.experiment else ""
         return ", ".join(filter(None, (self._key, aside)))
 
     @property
@@ -143,11 +151,11 @@ class RecordFault:
             plain = {"factor": 1.0, "offset": 0.0}
             given = [f"{k} = {v:.6g}" for k, v in numbers.items() if v != plain[k]]
             key = dotted("columns", self.column)
-            return f"{key} = {{ {', '.join(given)} }}{where} mends it"
+            return f"{key} = {{ {', '.join(given)} }}{where} corrects it"
         if self.kind in ("delay", "clock"):
             each = " for each output" if self.kind == "clock" else ""
             key = dotted("columns", "COLUMN" if each else self.column)
-            return f"{key} = {{ late = {self.size:.6g} }}{where}{each} mends it"
+            return f"{key} = {{ late = {self.size:.6g} }}{where}{each} corrects it"
         if self.kind == "swapped":
             pairs = ", ".join(dotted(self.sort, name) for name in self.variables)
             return f"exchange the columns of {pairs}{where}"
@@ -155,9 +163,13 @@ class RecordFault:
             state, start = self.variables[0], f"{self.offset:.4g}"
             free = f'{dotted("parameters", state)} = {{ start = {start}, per = "experiment" }}'
             return (
-                f"{dotted('values', state)} = {start}{where} corrects it, or estimate it by {free}"
+                f"{dotted('values', state)} = {start}{where} corrects it; or estimate it with "
+                f"{free}"
             )
-        return "measure it and name its column in signals, or find and remove it"
+        return (
+            "measure the disturbance and name its column in signals, or find its source and "
+            "remove it"
+        )
 
 
 def as_unit(factor: float, offset: float, spread: float) -> str:

@@ -162,14 +162,14 @@ def _curves(
     if definition.form.is_dynamics and _is_one(definition, result):
         return [_step_curve(definition, result, description)]
     if definition.form.memory or definition.states:
-        why = "it depends on the past, so it is not a curve over one variable"
+        why = "the effect depends on the past, so it is not a curve over one variable"
         return [_none(definition, why)]
     if not _is_one(definition, result):
-        return [_none(definition, "its coefficients differ from experiment to experiment")]
+        return [_none(definition, "the coefficients of the effect differ between experiments")]
     signal = next((e.value for e in result.estimates if e.label == definition.site.target), 1.0)
     parts = part_shapes(definition, signal)
     if not parts:
-        return [_none(definition, "it is not a function of one variable")]
+        return [_none(definition, "the effect is not a function of one variable")]
     found = []
     for part in parts:
         seen = visited(definition.site, part.argument)
@@ -313,7 +313,7 @@ def _curve(
     x = np.linspace(float(seen.min()), float(seen.max()), POINTS)
     y = part.shape(x, values)
     if not np.isfinite(y).any():
-        return _none(definition, "it is not finite in the range of the data")
+        return _none(definition, "the effect is not finite in the range of the data")
     counts, edges = np.histogram(seen, ARGUMENT_BINS)
     spread = BAND_QUANTILE * spread_of(part.shape, x, values, covariance_of(result, own))
     units = {name: variable.unit for name, variable in description.variables.items()}

@@ -66,21 +66,21 @@ def _way(strengths: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def dynamics_in_words(form: EffectForm, values: Sequence[float]) -> str:
-    """Say when most of the step response is done, and what a reduced model has; "" if unknown."""
+    """Say how fast the step response is, and what a reduced model has; "" if unknown."""
     strengths, tau = filter_parts(form, np.array(values, float))
     if not (np.isfinite(strengths).all() and tau > 0.0 and strengths.any()):
         return ""
     x = np.linspace(0.0, len(strengths) + SETTLED, 20_001)
     way, total = _way(strengths, x), float(strengths.sum())
-    said = "step response that comes back to where it was"
+    said = "the step response returns to its initial value"
     if abs(total) > NO_WAY * float(np.abs(way).max()):
         done = x[np.argmax(way / total >= PART)] * tau
-        said = f"step response with 63 % after {readable_time(float(done))}"
+        said = f"the step response reaches 63 % after {readable_time(float(done))}"
     times = [readable_time(float(each)) for each in reduced_time_constants(strengths, tau)]
     if not times:
         return said
-    which = "the time constants" if len(times) > 1 else "the time constant"
-    return f"{said}, nearly that of {which} {' and '.join(times)}"
+    which = "time constants" if len(times) > 1 else "time constant"
+    return f"{said}; a model with the {which} {' and '.join(times)} has nearly the same response"
 
 
 def reduced_time_constants(strengths: FloatArray, tau: float) -> FloatArray:

@@ -143,7 +143,7 @@ def solver_scale(
         return replace(found, exchange="model_exchange" in description.interfaces)
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
     tight = max(rtol / RTOL_TIGHTENING, LEAST_RTOL)
-    why = "" if tight < rtol else "a smaller tolerance is not possible with 64 bits"
+    why = "" if tight < rtol else "a tighter tolerance is not possible in double precision"
     name = f"the tolerance model.rtol = {rtol:.1g}"
     return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
 
@@ -160,8 +160,9 @@ def step_never_taken(
     if solver.step <= longest * (1.0 + WHOLE_STEP_TOLERANCE):
         return ""
     return (
-        f"model.step = {solver.step:.4g} is never taken: the times of inputs and measurements are "
-        f"at most {longest:.4g} s apart, and no step crosses one of them; leave it out"
+        f"model.step = {solver.step:.4g} has no effect: the times of inputs and measurements are "
+        f"at most {longest:.4g} s apart, and no step extends beyond the next of these times; "
+        "remove model.step"
     )
 
 
@@ -177,7 +178,9 @@ def _fixed(model: Model, description: ModelDescription) -> SolverScale:
     own = description.fixed_internal_step or 0.0
     solver, step = model.solver, communication_step(model, description)
     name = f"the communication step of {step:.4g} s" if step else "the communication step"
-    refused = SolverScale(solver, name, why_not=f"{description.file} communicates in a fixed step")
+    refused = SolverScale(
+        solver, name, why_not=f"{description.file} communicates with a fixed step"
+    )
     if solver.step is None or not step:
         return refused
     if not own:

@@ -84,10 +84,10 @@ class SolverError:
         worst = max(noticed, key=lambda output: output.over_residual)
         advice = self.scale.advice(worst.over_residual / NOTICED, 1.0)
         return (
-            f"{self.scale.name} is too long: it causes an error in {worst.output} of "
-            f"{worst.over_residual:.2g} times the remaining residual there, and of "
-            f"{worst.over_spread:.1%} of the signal, which may have biased the parameters; set "
-            f"{advice} and fit again",
+            f"{self.scale.name} is too long: it causes an error in {worst.output} that is "
+            f"{worst.over_residual:.2g} times the remaining residual of this output, and "
+            f"{worst.over_spread:.1%} of the signal; this error may have biased the parameters; "
+            f"set {advice} and fit again",
         )
 
 

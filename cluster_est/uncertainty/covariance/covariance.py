@@ -261,19 +261,21 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
         count = len(system.weighting.factor)
         rank = system.factors.rank
         notes.append(
-            f"there are no intervals, because {count} residuals determine {rank} directions, so "
-            "none are left to estimate their scatter"
+            f"there are no intervals, because {count} residuals determine {rank} independent "
+            "combinations of the parameters, so no residual is left to estimate the noise; add "
+            "measurements, or fix some parameters"
         )
     if layout.active:
         names = ", ".join(repr(name) for name in layout.active)
         notes.append(
-            "the intervals allow only changes of the parameters along which these constraints stay "
+            "the intervals allow only those changes of the parameters that keep these constraints "
             f"active: {names}"
         )
     if layout.ignored:
         names = ", ".join(repr(name) for name in layout.ignored)
         notes.append(
-            f"the intervals ignore active constraints on signals ({names}); profiles keep them"
+            f"the intervals ignore active constraints on signals ({names}); profiles respect "
+            "these constraints"
         )
     return tuple(notes)
 
@@ -296,11 +298,11 @@ def _noise_notes(
     times = most if least == most else f"{least} to {most}"
     if basis is NoiseBasis.AUTOREGRESSION:
         return (
-            "the residuals are autocorrelated, and the intervals include autocorrelated noise: "
-            f"standard errors are {times} times as large as with white noise",
+            "the residuals are autocorrelated, and the intervals account for this: the standard "
+            f"errors are {times} times as large as with white noise",
         )
     return (
         f"the {len(system.factors.parts)} experiments differ by more than their noise explains, "
-        "and the intervals are computed from these differences: standard errors are "
-        f"{times} times as large as with white noise",
+        f"so the intervals are computed from these differences: the standard errors are {times} "
+        "times as large as with white noise",
     )

@@ -60,8 +60,8 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
     if not found.directions or (step > 0.0).all():
         return found
     note = (
-        "the statements about directions were not confirmed by simulations, because some failed "
-        "close to the solution or bounds excluded them"
+        "the statements about directions were not confirmed by simulations, because some "
+        "simulations close to the solution failed or bounds excluded them"
     )
     return replace(found, notes=(*found.notes, note))
 

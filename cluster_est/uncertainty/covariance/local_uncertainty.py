@@ -120,7 +120,9 @@ def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, 
     names = joined(labels)
     if kind == "undetermined":
         how = _how(labels, weights, relative, grow="can grow", grows="can grow")
-        return f"the data determine {names} only together: {how} without changing any residual"
+        return (
+            f"the data determine {names} only in combination: {how} without changing any residual"
+        )
     how = _how(labels, weights, relative, grow="grow", grows="grows")
     return f"the data hardly distinguish {names}: the residuals hardly change if {how}"
 

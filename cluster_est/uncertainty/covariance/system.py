@@ -170,7 +170,9 @@ def row_weighting(
     for group in np.unique(groups):
         means[groups == group] = psi_derivatives[groups == group].mean()
     if not (means > 0.0).all():
-        reason = "most residuals are outliers for this cost: its scale is too small"
+        reason = (
+            "most residuals are outliers for this cost, because the scale of the cost is too small"
+        )
         return RowWeighting(np.ones(count), True, problem=reason)
     psi = weights * residuals
     factor = np.sqrt(means)
@@ -207,8 +209,8 @@ WEAK = 1e-6
 ROUNDING_OF_DIRECTION = 1e-6
 """Part of an unknown in a direction below which it is rounding."""
 ORDINAL = (
-    "for an ordinal output only the order of the values is known, and their distances to the "
-    "bounds of categories do not show its noise"
+    "for an ordinal output, only the order of the values is known, so the distances to the limits "
+    "of the categories do not reveal its noise"
 )
 
 

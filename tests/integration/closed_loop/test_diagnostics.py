@@ -38,14 +38,14 @@ def test_detect_sees_that_something_is_missing(seen):
     assert seen.missing
     assert max(seen.p, seen.p_white, seen.p_structure) <= 0.01
     assert seen.rms["y"] > 3.0 * seen.noise["y"]
-    assert "something is missing" in seen.sentence
+    assert "the model lacks something" in seen.sentence
 
 
 @pytest.mark.parametrize(
     ("p", "p_white", "p_structure", "candidates", "said"),
     [
-        (1e-5, 1e-5, 0.001, 40, "something is missing (p = 1e-05 among 40 candidates)"),
-        (0.0, 0.0, 0.001, 1, "something is missing (p < 1e-300 among 1 candidate)"),
+        (1e-5, 1e-5, 0.001, 40, "the model lacks something (p = 1e-05 among 40 candidates)"),
+        (0.0, 0.0, 0.001, 1, "the model lacks something (p < 1e-300 among 1 candidate)"),
         (
             1e-5,
             0.3,
@@ -116,9 +116,9 @@ def test_an_effect_starts_where_it_is_told(problem):
     ("given", "phrase"),
     [
         ({"site": "der(v)", "form": "colomb"}, "did you mean 'coulomb'?"),
-        ({"site": "der(w)", "form": "coulomb"}, "no such site der(w)"),
+        ({"site": "der(w)", "form": "coulomb"}, "has no site der(w)"),
         ({"site": "der(v)", "form": "sine"}, "parameters.f.start is missing"),
-        ({"site": "der(v)"}, "must have either form or equation but has neither"),
+        ({"site": "der(v)"}, "must have exactly one of form and equation, but has neither"),
         ({"site": "der(v)", "form": "coulomb", "start": {"q": 1.0}}, "no such coefficient"),
         ({"site": "der(v)", "equation": "a *", "name": "own", "start": {"a": 1.0}}, "equation"),
     ],

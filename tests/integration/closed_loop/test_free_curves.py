@@ -1,4 +1,4 @@
-"""An effect of a shape that is not in the library is found as one curve, and drawn as one.
+"""An effect of because the shape is not in the library is found as one curve, and drawn as one.
 
 It has as many values as the data pay for, and stands for what several forms would patch.
 """
@@ -62,7 +62,7 @@ def test_a_curve_is_found_at_its_place(amplifier):
     assert place in (("input F", "characteristic", ()), ("der(v)", "table", ("F",)))
     assert "table of F from low to high: k" in effect.equation
     assert "criterion falls by" in effect.evidence[0]
-    assert "a shape that is not in the library" in amplifier.message
+    assert "because the shape is not in the library" in amplifier.message
     assert amplifier.rms("test", "before") > 10.0
     assert amplifier.rms("test", "after") < 1.5
 

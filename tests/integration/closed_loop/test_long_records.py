@@ -70,7 +70,7 @@ def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(found):
     assert effect.coefficients[0].value == pytest.approx(WIDTH, rel=0.02)
     assert [len(run.outputs[0].times) for run in result.problem.experiments] == [ROWS, ROWS]
     assert len(result.fun) == 2 * ROWS
-    assert result.notes[0].startswith("long records are thinned to")
+    assert result.notes[0].startswith("long records are thinned from")
     assert result.noise["y"] == pytest.approx(NOISE, rel=0.1)
 
 
@@ -83,7 +83,7 @@ def test_a_delay_that_is_shorter_than_the_steps_of_thinned_records_is_found():
     (effect,) = result.effects
     assert effect.effect.form == "delay"
     assert effect.coefficients[0].value == pytest.approx(LATE, rel=0.1)
-    assert result.notes[0].startswith("long records are thinned to")
+    assert result.notes[0].startswith("long records are thinned from")
 
 
 def test_no_rows_are_left_out_where_that_is_not_wanted(problem):

@@ -76,7 +76,9 @@ def test_two_terms_are_found_together():
     for effect in result.effects:
         assert effect.coefficients[0].value == pytest.approx(LAWS[effect.form][0], rel=0.03)
     assert "the effects close 100%" in result.message
-    assert any("are functions of qd at output i" in note for note in result.notes)
+    assert any(
+        "are functions of the same variable, qd, at output i" in note for note in result.notes
+    )
 
 
 def test_a_power_law_has_its_exponent_at_a_reference_that_is_held():

@@ -100,9 +100,9 @@ def test_a_communication_step_that_is_too_long_is_no_missing_effect():
     assert found.verdict is Verdict.UNEXPLAINED
     assert found.effects == ()
     assert found.after is found.before
-    assert "the communication step of 0.1 s has an error of" in found.message
+    assert "the communication step of 0.1 s causes an error of" in found.message
     assert "set model.step = 0.0" in found.message
-    assert any("no effect was looked for" in note for note in found.notes)
+    assert any("the search looked for no effects" in note for note in found.notes)
 
 
 def test_its_diagnostics_say_the_same():
@@ -110,9 +110,11 @@ def test_its_diagnostics_say_the_same():
     seen = ce.detect(problem)
     assert max(seen.p, seen.p_white) <= seen.significance
     assert not seen.missing
-    assert "the communication step of 0.1 s has an error of" in seen.sentence
-    assert any("no effect was looked for" in note for note in seen.notes)
-    with pytest.raises(ProblemError, match=r"no missing effect can be distinguished from it"):
+    assert "the communication step of 0.1 s causes an error of" in seen.sentence
+    assert any("the search looked for no effects" in note for note in seen.notes)
+    with pytest.raises(
+        ProblemError, match=r"a missing effect cannot be distinguished from this error"
+    ):
         ce.locate(problem)
 
 
@@ -192,17 +194,22 @@ def test_an_error_hides_effects_that_is_large_beside_noise_and_residual(
 
 def test_the_refusal_says_how_large_and_what_to_set(of_a_step):
     found = sized(of_a_step, 4.3, 4.4)
-    said = "communication step of 0.1 s.*4.3 times the noise.*at y, of order 1.*"
-    said += "no missing effect can be distinguished.*set model.step = 0.0007813.* first"
+    said = "communication step of 0.1 s.*4.3 times the noise.*at y; convergence order 1.*"
+    said += "a missing effect cannot be distinguished.*set model.step = 0.0007813.* first"
     assert re.search(said, found.refusal)
-    assert found.notes[0].startswith("no effect was looked for, because the commun")
+    assert found.notes[0].startswith("the search looked for no effects, because the commun")
     assert "1 times the remaining residual" in sized(of_a_step, 1e-9, 1e-9, noise=0.0).refusal
 
 
 @pytest.mark.parametrize(
     ("rms", "noise", "order", "said"),
     [
-        (0.12, 1.0, 2.0, ("0.12 times the noise", "model.step = 0.05", "makes it negligible")),
+        (
+            0.12,
+            1.0,
+            2.0,
+            ("0.12 times the noise", "model.step = 0.05", "makes this error negligible"),
+        ),
         (1e-9, 0.0, 1.0, ("an error of 1e-09 times the remaining residual",)),
         (0.04, 1.0, 1.0, ()),
         (0.0, 0.0, 1.0, ()),
@@ -219,7 +226,7 @@ def test_a_loose_tolerance_is_spoken_of_however_small_its_error_is_here():
     found, _ = error_and_truth(replace(DATA, model=replace(DATA.model, solver=solver)), DATA)
     (note,) = sized(found, 1e-5, 1.0, np.nan).notes
     assert "1e-05 times the noise" in note
-    assert "negligible here; model.rtol = 1e-04 keeps it so elsewhere" in note
+    assert "negligible here; model.rtol = 1e-04 keeps it negligible in other cases" in note
 
 
 def test_what_could_not_be_measured_is_said(of_a_step):

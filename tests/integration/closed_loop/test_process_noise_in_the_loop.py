@@ -95,7 +95,7 @@ def test_errors_are_over_what_the_noise_that_is_left_explains(rubbing):
     for role in ("train", "test"):
         assert rubbing.rms(role, "after") == pytest.approx(1.0, abs=0.15)
         assert rubbing.rms(role, "before") > rubbing.rms(role, "after")
-    assert any("simulated from start to end without process noise" in n for n in rubbing.notes)
+    assert any("simulations from start to end without process noise" in n for n in rubbing.notes)
     assert rubbing.competing == ()
 
 

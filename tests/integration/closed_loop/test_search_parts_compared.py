@@ -56,7 +56,7 @@ def test_parts_that_changed_nothing_are_known_and_what_they_have_simulated(lacki
         whole = remembered(lacking, "c")
     assert {LoopPart.ADD, LoopPart.SIGNIFICANCE} <= notes.active
     silent = {*LoopPart} - notes.active
-    assert {LoopPart.CURVE_ENDS, LoopPart.NUMERICAL, LoopPart.LOCAL_MINIMUM} <= silent
+    assert {LoopPart.CURVE_ENDS, LoopPart.NUMERICAL, LoopPart.FREE_CURVE} <= silent
     without = remembered(lacking, "c", FEW.changed(without=tuple(silent)))
     assert (without.x, without.verdict) == (whole.x, whole.verdict)
     spent = saved(notes.spans, silent)

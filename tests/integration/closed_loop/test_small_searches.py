@@ -45,7 +45,7 @@ def test_a_wave_that_all_experiments_agree_on_is_found_with_its_period():
     assert effect.period == pytest.approx(2.0 * np.pi / 9.3, rel=0.01)
     strengths = {c.label.rpartition(".")[2]: c.value for c in effect.coefficients}
     assert np.hypot(strengths["a"], strengths["b"]) == pytest.approx(1.0, rel=0.02)
-    assert any("with one phase in all experiments" in said for said in effect.evidence)
+    assert any("and the same phase in all experiments" in said for said in effect.evidence)
     assert not any("too narrow" in note for note in found.notes)
 
 
@@ -121,9 +121,7 @@ def test_what_was_found_beside_such_a_drift_is_judged_without_it():
     problem = driven_by(
         *(lambda t, f, s=s: dead(f, 0.3 * LARGEST) + 0.3 * t + gusts(s, 0.1) for s in (1, 2))
     )
-    few = ce.LoopSettings(
-        sites=("der(v)", "input F"), forms=("dead_zone", "drift"), draws=200, pairs=False
-    )
+    few = ce.LoopSettings(sites=("der(v)", "input F"), forms=("dead_zone", "drift"), draws=200)
     found = ce.close_loop(problem, settings=few)
     assert found.verdict == Verdict.UNEXPLAINED
     assert "drift at der(v) would leave more than noise and was not added" in found.message
@@ -152,7 +150,7 @@ def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
     problem = replace(problem, tables=tuple(sources))
     found = ce.close_loop(problem, settings=settings("der(v)", "coulomb", "cubic"))
     assert found.verdict == Verdict.UNEXPLAINED
-    assert "column 'gust_N' is not used and varies with it" in found.message
+    assert "the unused column 'gust_N' explains" in found.message
     assert [len(each.columns) for each in found.unexplained] == [1]
 
 

@@ -40,18 +40,19 @@ METHODS = [
     (options("least_squares", ftol=float("inf")), "ftol: .*finite.*inf"),
     (options("least_squares", ftol=-1e-9), "ftol: .*at least 0.*-1e-09"),
     (options("least_squares", differences="fwd"), "differences: .*'sensitivities'.*'fwd'"),
-    (options("scipy_least_squares", algorithm="lm"), "options.algorithm.*cannot keep bounds"),
+    (options("scipy_least_squares", algorithm="lm"), "options.algorithm.*does not support bounds"),
     (options("pattern_search", contraction=1.5), "method.options.contraction: .*1.5"),
     (options("sqp", algorithm="ipopt"), "method.options.algorithm: .*'native'.*'ipopt'"),
 ]
 SUITABLE = [
     (
         options("scipy_least_squares") | constraint(expression="m <= k"),
-        "method.name: scipy_least_squares cannot satisfy constraints.*'m <= k'.*choose",
+        "method.name: scipy_least_squares does not support constraints.*'m <= k'.*choose",
     ),
     (
         options("scipy_least_squares") | on_y(upper=1.0),
-        r"scipy_least_squares cannot satisfy constraints.*'y upper \[a\]'.*or remove them",
+        r"scipy_least_squares does not support constraints.*'y upper \[a\]'.*or remove the "
+        "constraints",
     ),
     (
         options("scipy_least_squares") | {"cost.name": "sae"},
@@ -66,7 +67,7 @@ COSTS = [
     ({"cost": {"name": "huber", "options": {"scale": 0}}}, "options.scale: .*1e-100.*0"),
     ({"cost": {"name": "cauchy", "options": {"scale": "x"}}}, "options.scale: .*number.*'x'"),
     ({"cost.name": "total"}, "cost.name: .*cost.function is missing; add it, or choose another"),
-    ({"cost.time_base": "simulated"}, "cost.step: .*seconds.*'simulated'.*add it, or model.step"),
+    ({"cost.time_base": "simulated"}, "cost.step is missing.*seconds.*'simulated'"),
     ({"cost.time_base": "both", "cost.step": 1e-12}, "cost.step: .*10000000 .*0.3 s.*1e-12 s"),
     ({"cost.weights": {"z": 1.0}}, "cost.weights.z: .*an output.*'y'"),
     (output(interpolation="cubic"), "outputs.y.interpolation: .*'linear' or 'hold'.*'cubic'"),
@@ -86,22 +87,22 @@ KINDS = [
 ]
 SIGNALS = [
     (constraint(signal="q", upper=1.0), r"\[0\].signal.*no variable 'q'.*'x', 'v'"),
-    (constraint(signal="m", upper=1.0), "causality 'parameter'.*choose an output"),
-    (constraint(signal="F", upper=1.0), "causality 'input'.*choose an output"),
-    (on_y(), r"\[0\].signal: .*a limit.*none; add lower, upper"),
+    (constraint(signal="m", upper=1.0), "causality is 'parameter'.*choose an output"),
+    (constraint(signal="F", upper=1.0), "causality is 'input'.*choose an output"),
+    (on_y(), r"\[0\].signal: .*a limit.*none; add one of lower, upper"),
     (on_y(name="box"), r"constraints\[box\].signal: .*a limit"),
     (on_y(uper=1.0), r"unknown key constraints\[0\].uper.*'upper'"),
     (on_y(upper="high"), r"\[0\].upper: .*finite number or \[\[time, value\], ...\].*'high'"),
     (on_y(upper=[[0]]), r"\[0\].upper\[0\]: .*two numbers.*\[0\]"),
     (on_y(upper=10**400), r"\[0\].upper: .*finite number.*1000"),
     (on_y(upper=[[1, 0], [0, 1]]), r"\[0\].upper: .*times must not decrease.*sort"),
-    (on_y(upper=[[7, 1], [8, 1]]), r"\[0\].upper: .*limit the signal.*0 to 0.3 s"),
+    (on_y(upper=[[7, 1], [8, 1]]), r"\[0\].upper: .*limit the signal.*0 and 0.3 s"),
     (on_y(upper=1, lower=2), r"\[0\].lower: .*not be above upper.*0 s.*swap them"),
     (on_y(lower=[[0, 0], [0.3, 3]], upper=2), r"\[0\].lower: .*not be above upper.*at 0.2"),
-    (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap with.*0 to 0.3.*\[5.0, 6"),
+    (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap the simulation.*0 to 0.3.*\[5.0, 6"),
     (on_y(upper=1, between=[4, 3]), r"\[0\].between: .*\[from, to\].*\[4.0, 3.0\]"),
     (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out with final"),
-    (on_y(upper=1, experiments=["b"]), r"\[0\].experiments: .*no 'b'.*'a'"),
+    (on_y(upper=1, experiments=["b"]), r"constraints\[0\].experiments: there is no 'b'; .*'a'"),
     (on_y(upper=1, equality=True), r"\[0\].equality: .*left out"),
     (on_y(upper=1, samples=1), r"\[0\].samples: .*greater than 1.*1"),
     (on_y(upper=1, samples=2**62), r"\[0\].samples: .*at most 1e\+07.*46"),
@@ -130,7 +131,10 @@ CURVES = [
     (curve(), r"experiments\['a'\].curve.columns is missing"),
     (curve({}), "curve.columns: .*at least one entry"),
     (curve({"y": "pos"}), "no column 'pos'.*'position'"),
-    (curve({"y": "position"}, tolerance={"q": 1.0}), "tolerance.q: .*one of its columns.*'y'"),
+    (
+        curve({"y": "position"}, tolerance={"q": 1.0}),
+        "tolerance.q: .*one of the names in curve.columns.*'y'",
+    ),
     (curve({"y": "position"}, tolerance={"y": -1}), "curve.tolerance.y: .*at least 0.*-1"),
     (curve({"y": "position"}, samples=1), "curve.samples: .*greater than 1.*1"),
     (curve({"y": "position"}, samples=2**62), r"curve.samples: .*at most 1e\+07.*46"),
@@ -138,7 +142,7 @@ CURVES = [
 ]
 STARTS = [
     ({"multistart.points": [{"q": 1.0}]}, "no unknown 'q'.*'m', 'k'"),
-    ({"multistart.points": [{"m": 99.0}]}, r"m must lie in its bounds \[0.1, 10\].*99"),
+    ({"multistart.points": [{"m": 99.0}]}, r"m must lie within its bounds \[0.1, 10\].*99"),
     (
         {"multistart.n": 3, "parameters.m.bounds": REMOVED},
         r"m.bounds: .*finite.*\[-inf, inf\].*multistart.points instead",
@@ -170,5 +174,5 @@ def test_a_fit_refuses_it_in_the_same_words(tmp_path, refused, changes, pattern)
 def test_a_function_says_all_of_a_constraint(tmp_path, refuse, key):
     (tmp_path / "mine.py").write_text("def f(run):\n    return 0.0\n")
     changes = constraint(function="mine:f", **{key: 1})
-    refuse(changes, r"constraints\[0\].function: 'mine:f' is Python code.*add --allow-code")
+    refuse(changes, r"constraints\[0\].function: 'mine:f' names Python code.*add --allow-code")
     refuse(changes, rf"constraints\[0\].{key}: .*left out with", more=("--allow-code",))

@@ -15,11 +15,11 @@ SIMULATE = ["simulate", "config.toml", "--out"]
 @pytest.mark.parametrize(
     ("content", "pattern"),
     [
-        (b"[model", "must be TOML but is not: Expected ']' at the end of a table declaration"),
-        (b"a = 1\na = 2\n", "must be TOML but is not: Cannot overwrite a value"),
-        (b"a = " + b"[" * 5000, "must be TOML but is not: maximum recursion"),
-        (b"a = " + b"9" * 5000, "must be TOML but is not"),
-        ("# é".encode("latin-1"), "must be text in UTF-8 but is not"),
+        (b"[model", "must be TOML, but is not: Expected ']' at the end of a table declaration"),
+        (b"a = 1\na = 2\n", "must be TOML, but is not: Cannot overwrite a value"),
+        (b"a = " + b"[" * 5000, "must be TOML, but is not: maximum recursion"),
+        (b"a = " + b"9" * 5000, "must be TOML, but is not"),
+        ("# é".encode("latin-1"), "must be text in UTF-8, but is not"),
     ],
     ids=range(5),
 )
@@ -97,13 +97,16 @@ def test_a_value_of_the_command_line_is_in_no_line(refuse):
     [
         (b"", "x.fmu: must be an FMU, which is a zip file, but is not"),
         (spoiled_fmu()[:9000], "must be an FMU, which is a zip file, but is not"),
-        (spoiled_fmu(lambda e: e.pop(XML)), "must hold a modelDescription.xml"),
+        (spoiled_fmu(lambda e: e.pop(XML)), "must contain a modelDescription.xml"),
         (spoiled_fmu(lambda e: e.update({"../x": b""})), "the path '../x' in it must stay"),
-        (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="3.0"'}), "variable.*none at all"),
-        (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="1.0"'}), "or 3.0 but is of 1.0"),
+        (
+            spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="3.0"'}),
+            "variable.*none to choose from",
+        ),
+        (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="1.0"'}), "or 3.0, but is of 1.0"),
         (
             spoiled_fmu(rename("binaries/linux64", "binaries/linux32")),
-            r"a binary for this machine's platform \(linux64\) but has one for darwin64",
+            r"a binary for this machine's platform \(linux64\), but has one for darwin64",
         ),
         (spoiled_fmu(lambda e: e.pop(LIBRARY)), "x.fmu: "),
         (
@@ -112,7 +115,7 @@ def test_a_value_of_the_command_line_is_in_no_line(refuse):
         ),
         (
             spoiled_fmu(lambda e: e.update({LIBRARY: e[LIBRARY].replace(b"fmi2DeS", b"xmi2DeS")})),
-            "lacks fmi2DeSerializeFMUstate.*demands of every FMU.*another version",
+            "lacks fmi2DeSerializeFMUstate.*every FMU must have.*another version",
         ),
         (spoiled_fmu(xml={GUID: "{0}"}), "cannot be loaded and instantiated.*GUID differs"),
     ],
@@ -138,10 +141,10 @@ def test_an_out_folder_that_is_not_free(tmp_path, refused, capsys):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").touch()
     fit = ["fit", "config.toml", "--no-report", "--out"]
-    refused([*fit, "a.csv"], "a.csv: must be a folder but is a file; choose another --out")
+    refused([*fit, "a.csv"], "a.csv: must be a folder, but is a file; choose another --out")
     refused([*fit, "a.csv/x"], "a.csv/x: .*choose another")
-    refused([*fit, "other"], "other: must be new or empty but holds other files")
-    refused([*fit, "other", "--overwrite"], "must be new or empty but holds other files")
+    refused([*fit, "other"], "other: must be a new or empty folder, but holds other files")
+    refused([*fit, "other", "--overwrite"], "must be a new or empty folder, but holds other files")
     assert main([*fit, "run"]) in (0, 1)
     capsys.readouterr()
     refused([*fit, "run"], "run: holds a run already.*--overwrite")
@@ -152,11 +155,11 @@ def test_an_out_folder_that_is_not_free(tmp_path, refused, capsys):
     ("arguments", "pattern"),
     [
         (["fit", "no.toml", "--out", "out"], "there is no config file no.toml; check the path"),
-        (["check", "."], r".: must be a readable file but is not.*\(Is a directory\)"),
-        (["check", "a.csv"], "a.csv: must be TOML but is not"),
+        (["check", "."], r".: must be a readable file, but is not.*\(Is a directory\)"),
+        (["check", "a.csv"], "a.csv: must be TOML, but is not"),
         ([*SIMULATE, "out.txt"], "must end in one of .parquet, .feather, .csv.*'out.txt'"),
         ([*SIMULATE, "out.csv", "--run", "."], ".: must be the folder of a finished run"),
-        (["show", "."], "must be the folder of a run but has no run.json"),
+        (["show", "."], "must be the folder of a run, but has no run.json"),
     ],
 )
 def test_bad_arguments(tmp_path, refused, arguments, pattern):

@@ -28,9 +28,10 @@ def test_an_unknown_key_is_named_with_its_line_and_the_nearest_known_one(refuse,
 
 def test_a_key_that_stands_too_deep_is_shown_where_it_belongs(refuse):
     outputs = {"x": {"column": "x", "sigma": 0.1}}
-    refuse({f"{A}.outputs": outputs}, rf"outputs\.x\.sigma.*'sigma' is a key of {EXPERIMENT}")
+    belongs = rf"outputs\.x\.sigma.*'sigma' is a key of {EXPERIMENT} itself, so move it"
+    refuse({f"{A}.outputs": outputs}, belongs)
     outputs = {"x": {"column": "x", "sgma": 0.1}}
-    assert "itself" not in refuse({f"{A}.outputs": outputs}, "sgma")
+    assert "is a key of" not in refuse({f"{A}.outputs": outputs}, "sgma")
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_a_key_that_stands_too_deep_is_shown_where_it_belongs(refuse):
     [
         ("model", "model is missing.*the FMU"),
         ("model.fmu", "model.fmu is missing.*path of the FMU"),
-        ("parameters.m.start", "parameters.m.start is missing.*where the estimation starts"),
+        ("parameters.m.start", "parameters.m.start is missing.*start value of the estimation"),
         ("experiments", "experiments is missing"),
         (f"{A}.id", r"experiments\[0\].id is missing"),
         (f"{A}.data", f"{EXPERIMENT}.data is missing"),
@@ -72,28 +73,28 @@ def test_a_missing_key_is_named_with_what_it_is_for(refuse, path, pattern):
         ("parameters.m.fixed", "true", "m.fixed: .*true or false.*'true'; remove the quotes"),
         ("parameters.m.variable", 3, "parameters.m.variable: .*text in quotes"),
         ("values", 3, "values: .*a table"),
-        ("values.c", NAN, "values.c: .*finite number, true, false or a text.*nan"),
+        ("values.c", NAN, "values.c: .*finite number, true, false or text.*nan"),
         ("experiments", [], "experiments: .*at least one entry"),
         ("experiments", {}, r"experiments: .*a list.*\{\}.*\[\[experiments\]\]"),
         (f"{A}.id", "", r"experiments\[0\].id: .*not be empty"),
         (f"{A}.sample_time", 0.1, f"{EXPERIMENT}.*time.*sample_time.*both; remove one"),
-        (f"{A}.inputs.F", 3, "inputs.F: .*a column's name or { column, interpolation }.*3"),
+        (f"{A}.inputs.F", 3, "inputs.F: .*the name of a column or { column, interpolation }.*3"),
         (f"{A}.inputs.F", {}, "inputs.F.column is missing"),
         (f"{A}.inputs.F", {"column": "force", "interpolation": "cubic"}, "'linear' or 'hold'"),
-        (f"{A}.outputs.y", 3, f"{EXPERIMENT}.outputs.y: .*a column's name"),
+        (f"{A}.outputs.y", 3, f"{EXPERIMENT}.outputs.y: .*the name of a column"),
         (f"{A}.outputs.F", "force", "outputs.F: .*not be an input"),
         (f"{A}.sigma", {"y": 0.0}, f"{EXPERIMENT}.sigma.y: .*greater than 0.*0.0"),
-        (f"{A}.sigma", {"yy": 1.0}, "sigma.yy: .*one of its outputs"),
-        (f"{A}.relative_sigma", {"y": 0.1}, "relative_sigma.y: .*given with sigma.y"),
+        (f"{A}.sigma", {"yy": 1.0}, "sigma.yy: .*one of the outputs"),
+        (f"{A}.relative_sigma", {"y": 0.1}, "relative_sigma.y: .*given together with sigma.y"),
         (f"{A}.relative_sigma", {"y": -1.0}, "relative_sigma.y: .*at least 0.*-1.0"),
-        (f"{A}.relative_sigma", {"yy": 0.1}, "relative_sigma.yy: .*one of its outputs"),
+        (f"{A}.relative_sigma", {"yy": 0.1}, "relative_sigma.yy: .*one of the outputs"),
         (f"{A}.start", NAN, f"{EXPERIMENT}.start: .*finite number"),
         (f"{A}.stop", INF, f"{EXPERIMENT}.stop: .*finite number"),
         (f"{A}.windows", [[0.2, 0.1]], r"windows\[0\]: .*from before to"),
         (f"{A}.windows", [[NAN, 1.0]], r"windows\[0\]: .*two numbers.*finite"),
         (f"{A}.test_windows", [[0.2, 0.1]], r"test_windows\[0\]: .*from before to"),
         (f"{A}.rows", [2, 1], r"rows: .*from below to.*\[2, 1\]"),
-        (f"{A}.rows", [-1, 2], r"rows: .*two whole numbers from 0.*\[-1, 2\]"),
+        (f"{A}.rows", [-1, 2], r"rows: .*two whole numbers that are not negative.*\[-1, 2\]"),
         (f"{A}.role", "tset", "role: .*'train' or 'test'.*'tset'"),
         (f"{A}.values", {"x": []}, f"{EXPERIMENT}.values.x: .*finite number, true, false"),
         (f"{A}.group", 3, "group: .*a label or { KEY.*3"),
@@ -137,16 +138,16 @@ def test_each_problem_has_a_line(tmp_path, refused):
 @pytest.mark.parametrize(
     ("override", "pattern"),
     [
-        ("trials", "'trials': .*key=value"),
-        ("=3", "'=3': .*key=value"),
-        ("a\udcff=1", "key=value"),
+        ("trials", "'trials': .*KEY=VALUE"),
+        ("=3", "'=3': .*KEY=VALUE"),
+        ("a\udcff=1", "KEY=VALUE"),
         ("modle.fmu=x", "unknown key modle.*'model'"),
         ("method.sed=1", "unknown key method.sed.*'seed'"),
         ("parameters.m.start=zz", "parameters.m.start: .*number.*'zz'"),
         ("parameters.m.start.x=3", "parameters.m.start.x: 'start' is a value, not a table"),
-        ("experiments.b.role=test", "experiments.b.role: .*no 'b'.*'a'"),
+        ("experiments.b.role=test", "experiments.b.role: .*no entry 'b'.*'a'"),
         ("experiments.0=3", r"experiments\[0\]: .*a table.*3"),
-        ("parameters.m.bounds.2=3", "parameters.m.bounds.2: .*no '2'"),
+        ("parameters.m.bounds.2=3", "parameters.m.bounds.2: .*no entry '2'"),
         ("parameters.m.bounds.0.0=3", "parameters.m.bounds.0.0: '0' is a value, not a table"),
         ("method.seed=" + "[" * 5000, "method.seed: .*whole number"),
         ("method.seed=" + "9" * 5000, "method.seed: .*whole number"),
@@ -164,16 +165,19 @@ def test_an_override_that_leads_nowhere_is_refused(refuse, override, pattern):
         ({"parameters.zz": {"start": 1}}, "parameters.zz: mass_spring_damper.fmu has no variable"),
         ({"parameters.m.variable": "mm"}, "parameters.m: mass_spring.* no variable 'mm'.*'m'"),
         ({"parameters.y": {"start": 1}}, "parameters.y: 'y' must be a variable whose start"),
-        ({"parameters.der(x)": {"start": 1}}, r"mass_spring_damper.fmu computes it \(local\)"),
-        ({"parameters.c": {"start": 1}}, "values.c: .*also a parameter; remove one"),
-        ({"parameters.F": {"start": 1}}, "inputs.F: .*not be estimated too.*parameters.F"),
+        (
+            {"parameters.der(x)": {"start": 1}},
+            r"mass_spring_damper.fmu computes it \(its causality is local\)",
+        ),
+        ({"parameters.c": {"start": 1}}, "values.c: .*also be a parameter, but is; remove one"),
+        ({"parameters.F": {"start": 1}}, "inputs.F: .*not also be estimated.*parameters.F"),
         ({"parameters.m.start": 11}, r"parameters.m.start: .*bounds \[0.1, 10\].*11; move"),
         ({"parameters.m.per": "exp"}, 'parameters.m.per.*"experiment" or "group:KEY".*\'exp\''),
         ({"parameters.m.per": "group:cell"}, "experiment 'a': .*a group.*group = { cell ="),
         ({"values.cc": 1.0}, "values: mass_spring_damper.fmu has no variable 'cc'.*did you mean"),
         ({"values.y": 1.0}, "values: 'y' must be a variable whose start value can be set"),
         ({"values.c": True}, "values.c: .*a number.*of type real"),
-        ({"values.F": 1.0}, "values.F: .*not be an input of the same experiment"),
+        ({"values.F": 1.0}, "values.F: .*not also be an input of the same experiment"),
         ({f"{A}.values": {"xx": 1.0}}, "'a'.values: mass_spring_damper.fmu has no"),
         ({f"{A}.inputs": {"f": "force"}}, "'a'.inputs: mass_spring_damper.fmu has no"),
         ({f"{A}.inputs": {"m": "force"}}, "'m' must be an input of mass_spring_damper.fmu"),
@@ -185,8 +189,8 @@ def test_an_override_that_leads_nowhere_is_refused(refuse, override, pattern):
         ({f"{A}.columns": {"forc": {}}}, "columns: .*no column 'forc'.*'force'"),
         ({f"{A}.rows": [0, 9]}, r"rows: .*within the 4 rows of.*\[0, 9\]; lower"),
         ({f"{A}.rows": [2, 3]}, "at least two rows of.*uses 1; check rows"),
-        ({f"{A}.start": 0.5}, "experiment 'a'.start: .*before stop, 0.3 s.*0.5 s"),
-        ({f"{A}.stop": -1}, "experiment 'a'.start: .*before stop, -1 s.*0 s"),
+        ({f"{A}.start": 0.5}, "experiment 'a'.start: .*before stop, which is 0.3 s.*0.5 s"),
+        ({f"{A}.stop": -1}, "experiment 'a'.start: .*before stop, which is -1 s.*0 s"),
         ({f"{A}.windows": [[5, 6]]}, "'a'.*at least one measured value between 0 and 0.3 s"),
         ({f"{A}.warm_up": 9.0}, "'a'.*at least one measured value.*none"),
         ({f"{A}.test_windows": [[5, 6]]}, "'a'.test_windows: .*leave at least one measured"),
@@ -198,7 +202,10 @@ def test_an_override_that_leads_nowhere_is_refused(refuse, override, pattern):
         ({f"{A}.data": "$NO_SUCH/a"}, r"no file '\$NO_SUCH/a'.*\(which is not set\)"),
         ({f"{A}.data": "b", "data_folders": ["~no_such_user"]}, "no file 'b'.*home"),
         ({"model.fmu": "no.fmu"}, "model.fmu: .*no file 'no.fmu'; looked for"),
-        ({"model.units": {"vv": "m/s"}}, "model.units.vv: .* no variable and no experiment"),
+        (
+            {"model.units": {"vv": "m/s"}},
+            "model.units.vv: .* no variable of that name, and no experiment",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(refuse, changes, pattern):
@@ -220,12 +227,12 @@ OVERFLOW = {"force": {"factor": 1e308, "demean": True}}
         ({}, "0.01", "1e999", "column 'position', row 3: .*finite number.*inf; correct"),
         ({}, ROWS, "time,force,position\n0,,1\n1,,2\n", "inputs.F: column 'force'.*is empty"),
         ({}, ROWS, "time,force,position\n0,1,\n1,2,\n", "outputs.y: column 'position'.*is empty"),
-        ({}, ROWS, "time,force,position\n0,1,2\n", "at least two rows of.*uses 1; it"),
+        ({}, ROWS, "time,force,position\n0,1,2\n", "at least two rows of.*uses 1; check"),
         (
             {},
             ROWS,
             "time,force,position\n",
-            "rows of numbers but has only a header; check the file",
+            "rows of numbers, but has only a header; check the file",
         ),
         # rows are counted as in the file where only some are used
         ({f"{A}.rows": [1, 4]}, "0.3,0,", "0.3,inf,", "column 'force', row 5: must be"),
@@ -274,8 +281,8 @@ ONLY = {
 @pytest.mark.parametrize(
     ("only", "changes", "pattern"),
     [
-        ("model_exchange", {"model.interface": "co_simulation"}, "but offers model_exchange"),
-        ("co_simulation", {"model.interface": "model_exchange"}, "but offers co_simulation"),
+        ("model_exchange", {"model.interface": "co_simulation"}, "but offers only model_exchange"),
+        ("co_simulation", {"model.interface": "model_exchange"}, "but offers only co_simulation"),
         ("model_exchange", {"model.solver": "fmu"}, "dormand_prince, rk4 or cvode for model_exc"),
         ("co_simulation", {"model.solver": "rk4"}, "model.solver: .*fmu for co_simulation"),
     ],

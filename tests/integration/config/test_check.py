@@ -96,12 +96,33 @@ def test_a_good_fmu(examined, name, fmi):
         ("reset_keeps_state", 2, "reset", "note", "0.035 of the outputs' size", "model.reset"),
         ("reset_crashes", 2, "reset", "note", "its process crashed (SIGSEGV)", "model.reset"),
         ("fails_to_reset", 2, "values", "note", "survive a reset", "model.reset"),
-        ("random_output", 2, "repeatable", "problem", "two fresh processes differ", "method.name"),
-        ("once_per_process", 2, "instances", "note", "and says so", "executor.name"),
-        ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
-        ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "data for the inputs"),
-        ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
+        (
+            "random_output",
+            2,
+            "repeatable",
+            "problem",
+            "two simulations in fresh processes differ",
+            "method.name",
+        ),
+        ("once_per_process", 2, "instances", "note", "as the FMU declares", "executor.name"),
+        (
+            "once_undeclared",
+            2,
+            "instances",
+            "note",
+            "although the FMU does not declare this",
+            "executor.name",
+        ),
+        ("shares_static", 2, "instances", "note", "give different results while", "executor.name"),
+        (
+            "dead_parameter",
+            2,
+            "dead parameters",
+            "note",
+            "depend on dead",
+            "if the inputs have data",
+        ),
+        ("wrong_directional", 2, "derivatives", "note", "differ from finite differences", "export"),
         ("zero_directional", 2, "derivatives", "note", "all of them are 0", "export"),
         ("needs_stop_time", 2, "stop time", "note", "only be initialised with", "model.stop_time"),
         pytest.param(
@@ -110,7 +131,7 @@ def test_a_good_fmu(examined, name, fmi):
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
         ("crashes_at_start", 2, "experiment default", "problem", "crash: ", ""),
-        ("hangs_at_start", 2, "experiment default", "problem", "did not end within", ""),
+        ("hangs_at_start", 2, "experiment default", "problem", "no answer within", ""),
     ],
 )
 def test_what_is_wrong_is_named(examined, name, fmi, check, verdict, found, do):
@@ -136,10 +157,11 @@ def test_an_fmu_with_a_clock_is_named(examined, monkeypatch):
 def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined, fmi):
     page = examined("refuses_parameter", fmi)
     assert page.good
-    refused = next(each for each in page.findings if "refuses" in each.found)
+    refused = next(each for each in page.findings if "cannot be set" in each.found)
     assert refused.verdict == "note"
     assert refused.found.startswith("limit: ")
-    assert "1 of 1 affect the outputs" in line(page, "parameters").found
+    assert refused.do.startswith("remove from the config what cannot be set")
+    assert "1 of 1 parameters affect the outputs" in line(page, "parameters").found
 
 
 @pytest.mark.parametrize(
@@ -152,14 +174,14 @@ def test_the_communication_step_with_which_it_can_be_simulated_is_named(own_fmu,
     assert not page.good
     failed = line(page, "experiment default")
     assert "t = " in failed.found
-    assert failed.do.startswith("model.step = 0.01, ")
+    assert failed.do.startswith("set model.step = 0.01; ")
 
 
 @pytest.mark.parametrize("name", [pytest.param("leaks", marks=slow), "leaks_on_reset"])
 def test_a_leak_has_its_size(examined, name):
     named = line(examined(name, executor="processes"), "memory")
     assert named.verdict == "note"
-    leak = float(named.found.removeprefix("leaks ").partition(" ")[0])
+    leak = float(named.found.removeprefix("each simulation leaks ").partition(" ")[0])
     assert leak == pytest.approx(1024.0, rel=0.05)  # a MiB, and what the allocator adds
     assert "executor.growth" in named.found
 
@@ -214,7 +236,7 @@ def test_a_config_whose_parameter_is_dead(own_fmu, tmp_path, capsys):
     assert main(["check", str(write_input(tmp_path, changes)), "--seconds", "60"]) == 1
     said = capsys.readouterr().out
     assert "parameter dead" in said
-    assert "1 of 2 affect the outputs" in said
+    assert "1 of 2 parameters affect the outputs" in said
 
 
 def test_an_experiment_at_rest_tells_nothing(capsys):
@@ -222,7 +244,7 @@ def test_an_experiment_at_rest_tells_nothing(capsys):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0
     said = capsys.readouterr().out
-    assert "3 of 3 affect the outputs" in said
+    assert "3 of 3 parameters affect the outputs" in said
     assert "y changes by 0 of its size" not in said
 
 
@@ -240,7 +262,7 @@ def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu):
 
 def test_what_one_process_cannot_repeat_is_not_compared_in_one(examined):
     page = examined("process_counter")
-    assert "new process for each simulation" in line(page, "reset").do
+    assert "each simulation can have a new process" in line(page, "reset").do
     assert line(page, "parameters").verdict == "not done"
     assert not [each for each in page.findings if each.check in ("accuracy", "dead parameters")]
 
@@ -258,7 +280,7 @@ def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu, fmi):
     page = looked_at(replace(problem, experiments=(replace(run, stop=12.0),)))
     ended = line(page, "experiment default")
     assert "the FMU ended the simulation by itself at t = 9 s" in ended.found
-    assert ended.do == "a config whose experiment has a stop before that time"
+    assert ended.do == "write a config with an experiment that stops before that time"
 
 
 def parameter(name, reference=0, variability="fixed", start=1):
@@ -339,8 +361,9 @@ def findings(problem, kind, answer, check, points=0):
         ([0.1], [("ok", "simulated with all parameters at their lower bounds"),
                  ("not done", "not simulated with all parameters at their upper bounds")]),
         ([], [("not done", "not simulated with all parameters at their lower and upper bounds")]),
-        (["it stops"], [("note", "lower bounds: it stops"), ("not done", "at their upper bounds")]),
-        (["it stops", 0.2], [("note", "lower bounds: it stops")]),
+        (["it stops"], [("note", "at their lower bounds, it stops"),
+                        ("not done", "at their upper bounds")]),
+        (["it stops", 0.2], [("note", "at their lower bounds, it stops")]),
     ],
 )  # fmt: skip
 def test_only_bounds_that_were_tried_are_said_to_be_good(spring, answer, expected):
@@ -435,10 +458,16 @@ def test_with_more_time_each_check_has_more(spring):
 @pytest.mark.parametrize(
     ("verdicts", "end"),
     [
-        (["not done"], "nothing was checked yet"),
-        (["not done", "ok"], "1 of 2 checks was not done; the others: no problem was found"),
-        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; the others: 1 problem"),
-        (["ok", "note"], "no problem was found; 1 note says what may be wrong"),
+        (["not done"], "nothing has been checked yet"),
+        (
+            ["not done", "ok"],
+            "1 of 2 checks was not done; result of the others: no problem was found",
+        ),
+        (
+            ["not done"] * 2 + ["problem"],
+            "2 of 3 checks were not done; result of the others: 1 problem",
+        ),
+        (["ok", "note"], "no problem was found; read the 1 note too"),
     ],
 )
 def test_the_last_line_counts_what_was_done(capsys, verdicts, end):

@@ -110,20 +110,20 @@ def rounded(sigma):
         (
             heated(SLOW, RISE + 273.15),
             "unit of y_core",
-            "as K and degC differ.*seems to be in K",
+            "K and degC differ by as much.*seems to be in K",
             "columns.COLUMN = { factor = 1, offset = -273.15 }",
         ),
         (
             run(TRUTH | {"V": VOLTS * 1e3}),
             "unit of V",
-            "seems to be in mV.*counts in V.*of what the outputs move by, in place of",
+            "seems to be in mV.*uses V.*of the outputs' spread, instead of",
             "",
         ),
         *(
             pytest.param(
                 run(TRUTH | {"t": TIMES * factor}),
                 "time",
-                f"seems to be in {unit}, and is read as {2.0 * factor:.4g} s",
+                f"seem to be in {unit}, but are read as seconds.* {2.0 * factor:.4g} s",
                 f"columns.COLUMN = {{ factor = {1.0 / factor:g} }}, .* sample_time",
                 marks=marks,
             )
@@ -132,14 +132,15 @@ def rounded(sigma):
         pytest.param(  # twenty periods, whose frequency is off by a tenth at the start values
             swing(LONG * 1e3, 0.3 * np.cos(1.1 * np.sqrt(20.0) * LONG), 0.3),
             "time",
-            r"in milliseconds, and is read as 3.998e\+04 sec.*own experiment takes 20 sec.*only",
+            r"in milliseconds, but are read as seconds.* 3.998e\+04 s.*own experiment lasts 20 "
+            "s.*only",
             "",
             marks=slow,
         ),
         (
             run(TRUTH, inputs={}),
             "input V",
-            "no data: it stays at 0 V",
+            "no data, and stays at 0 V",
             'inputs.V = "COLUMN", or values.V = NUMBER',
         ),
         (
@@ -163,25 +164,27 @@ def rounded(sigma):
         (
             run(TRUTH),
             "jumps",
-            "input V jumps 2 times in run, by most at 0.095 s from 0 to 6; straight lines",
+            "input V jumps 2 times in run, by most at 0.095 s from 0 to 6; linear interpolation",
             'inputs.V = { column = "COLUMN", interpolation = "hold" }',
         ),
         (
             run(TRUTH | {"w": np.where(abs(TIMES - 1.0) < 0.008, -9999.0, TRUTH["w"])}),
             "missing",
-            "output speed is -9999 in 3 of 401 samples in experiment run, far from all others",
-            r"missing=\[-9999\] of Experiment.from_table leaves such samples out, if nothing was",
+            "output speed is -9999 in 3 of 401 samples in experiment run, far from all other "
+            "values",
+            r"if nothing was measured there, leave .* with missing=\[-9999\] in "
+            "Experiment.from_table",
         ),
         (
             run(TRUTH | {"w": TRUTH["w"] + spikes(40.0)}, inputs=HELD),
             "output speed",
-            "2 of 401 samples are far from all their neighbours",
-            'if they are faults.*cost.name = "huber", .*sigma.speed, reduces their weight',
+            "2 of 401 samples are far from both of their neighbours",
+            'if they are faults.*reduce their weight.*cost.name = "huber", .*sigma.speed',
         ),
         (
             rounded(0.01),
             "output speed",
-            "multiples of 0.25.*an error of 0.0722, 7.2 times the given sigma",
+            "multiples of 0.25.*an error of 0.0722, which is 7.2 times the given sigma",
             "0.0722 or more",
         ),
         (
@@ -238,14 +241,14 @@ def test_the_key_for_times_names_the_column_where_that_is_known(time, sample_tim
     source = TableSource("run", Path("a.csv"), time, sample_time, None, ())
     given = replace(problem(run(TRUTH | {"t": TIMES / 60.0})), tables=(source,))
     (said,) = findings(given, "time")
-    assert said.do == key
+    assert said.do == f"write {key}"
 
 
 def test_an_input_that_another_experiment_has_is_no_alarm():
     coast = run(TRUTH, id="coast", inputs={}, values={"w": 50.0})
     (said,) = findings(problem(run(TRUTH), coast), "input V")
     assert said.verdict == "ok"
-    assert "no data in 1 of 2 experiments: it stays at 0 V there" in said.found
+    assert "no data in 1 of 2 experiments, and stays at 0 V there" in said.found
 
 
 def test_a_fit_says_which_inputs_nothing_drives():
@@ -253,7 +256,9 @@ def test_a_fit_says_which_inputs_nothing_drives():
     runs = tuple(replace(e, inputs=()) for e in driven.experiments)
     result = ce.fit(replace(driven, experiments=runs), ce.LeastSquares(max_iterations=1))
     said = [note for note in result.notes if note.startswith("input F")]
-    assert re.search(r"\(0 N\) has no data and keeps its start value; inputs.F = ", said[0])
+    assert re.search(
+        r"\(0 N\) has no data and keeps its start value; to change that, write inputs.F = ", said[0]
+    )
 
 
 def test_one_whose_start_is_estimated_may_begin_at_rest():
@@ -288,12 +293,13 @@ def checked(tmp_path, capsys):
         (
             "sigma.speed = 0.5",
             ['id = "a"'],
-            "given for speed but not for current, where it then is 1 A.* -> sigma.current = NUMBER",
+            "given for speed, but not for current, where 1 A is used instead.* -> give "
+            "sigma.current = NUMBER",
         ),
         (
             "",
             ['id = "a"\noutputs.current = ""\nsigma.speed = 0.5', 'id = "b"\noutputs.current = ""'],
-            "sigma is given for speed in experiment a but not in experiment b",
+            "sigma is given for speed in experiment a, but not in experiment b",
         ),
         ("", ['id = "a"'], ""),
         ("sigma = { speed = 0.5, current = 0.1 }", ['id = "a"'], ""),
@@ -333,7 +339,7 @@ def test_the_error_of_a_solver_is_compared_with_the_noise():
     coarse = replace(given, model=replace(given.model, solver=ce.Solver("rk4", step=0.01)))
     (found,) = findings(coarse, "accuracy")
     assert found.verdict != "ok"
-    assert "of sigma.current, which is not small against the noise" in found.found
+    assert "of sigma.current, which is not small compared with the noise" in found.found
     (fine,) = findings(given, "accuracy")
     assert fine.verdict == "ok"
     assert "of sigma." in fine.found

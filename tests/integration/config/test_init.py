@@ -103,7 +103,7 @@ class TestWhereColumnsMatch:
         text, tree, said = written(table(tmp_path / "a.parquet", columns))
         assert "fill in" not in said
         assert factors(tree) == {time: 1e-3, force: 1e3, position: 1e-3}
-        assert "v [furlong/h] is in furlong/h but v is in m/s" in text
+        assert "v [furlong/h] is in furlong/h, but v is in m/s; if" in text
         problem = ce.read_problem("first.toml")
         assert problem.experiments[0].stop == pytest.approx(TIMES[-1])
         assert problem.experiments[0].inputs[0].values.max() == 1000.0
@@ -212,7 +212,7 @@ class TestColumnsThatAreGiven:
         [
             (["F=Voltage"], r"map F: a.csv has no column 'Voltage'.*'Voltage \(V\)'.*'time'"),
             (["f=Voltage (V)"], "map f: .*no variable 'f'.*'F'"),
-            (["m=y"], "map m: .*an input of mass_spring_damper.fmu or a computed variable"),
+            (["m=y"], "map m: .*an input or a computed variable of mass_spring_damper.fmu"),
             (["F"], "map: .*VARIABLE=COLUMN.*'F'; write it as in --map u='Voltage"),
             (["F=y", "F=time"], "map: F .*one column.*'y' and 'time'"),
             (["F=words"], "map F: column 'words' of a.csv .*numbers"),
@@ -230,7 +230,7 @@ def test_an_input_that_jumps_keeps_each_sample(written, tmp_path):
     text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=STEP, y=STEP))
     assert tree["experiments"][0]["inputs"]["F"] == {"column": "F", "interpolation": "hold"}
     assert tree["experiments"][0]["outputs"]["y"] == "y"
-    assert 'it jumps; a fit says so if the data prefer "linear"' in text
+    assert 'it jumps; a fit reports if the data prefer "linear"' in text
     text, _, said = written(
         table(tmp_path / "b.csv", time=TIMES, force=STEP, position=FORCE), out="second.toml"
     )
@@ -322,7 +322,9 @@ class TestWhereSomethingIsOpen:
         left = 'inputs.F = "FILL IN: force [kN]?"'
         number = next(i for i, line in enumerate(lines, 1) if line.startswith(left))
         assert f"first.toml, line {number}: fill in {left}" in said
-        assert f"line {number}: experiments['a'].inputs.F must be filled in but still" in refused
+        assert (
+            f"line {number}: experiments['a'].inputs.F must be filled in, but is still" in refused
+        )
         Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
         assert main(CHECK) == 0
         assert ce.read_problem("first.toml").experiments[0].inputs[0].values.max() == 1000.0
@@ -366,7 +368,9 @@ class TestWhereSomethingIsOpen:
         assert tree["experiment_defaults"]["columns"][name]["factor"] == 1000.0
         assert "fill in" not in said
         line = next(n for n, line in enumerate(text.split("\n"), 1) if "inputs.F = " in line)
-        assert f"first.toml, line {line}: inputs.F is {name!r}, the only column in such" in said
+        assert f"first.toml, line {line}: {name!r} was chosen for inputs.F, because it is" in said
+        assert "the only column whose unit matches" in text
+        assert "the only column whose unit matches" in said
         assert main(CHECK) == 0
 
     @pytest.mark.parametrize(
@@ -389,7 +393,7 @@ class TestWhereSomethingIsOpen:
         )
         given = {"time": TIMES} | dict.fromkeys(columns, FORCE)
         text, tree, said = written(table(tmp_path / "a.parquet", given), fmu=fmu)
-        assert "the only column in such a unit" not in text + said
+        assert "the only column whose unit matches" not in text + said
         taken = tree["experiments"][0].get("inputs", {})
         assert all(column.startswith("FILL IN") for column in taken.values())
 
@@ -419,7 +423,7 @@ class TestWhereSomethingIsOpen:
         capsys.readouterr()
         assert main(CHECK) == 1
         said = " ".join(capsys.readouterr().out.split())
-        assert "column 'time [ms]' is given to time, which is in s, without a conversion" in said
+        assert "column 'time [ms]' is used for time, which is in s, without a conversion" in said
         assert "columns.y_mm = { factor = 0.001, offset = 0 }" in said
         assert "F [N]" not in said
 
@@ -427,14 +431,14 @@ class TestWhereSomethingIsOpen:
         path = tmp_path / "a.csv"
         path.write_text("time,F,y\nnoon,1,2\nlater,1,2\n", encoding="utf-8")
         text, _, _ = written(path)
-        assert "# column 'time' has no numbers; remove a row of units" in text
+        assert "# column 'time' has no numbers; remove the row of units" in text
 
     def test_a_time_with_two_meanings_is_asked_for(self, written, tmp_path, capsys):
         path = tmp_path / "a.csv"
         path.write_text("time,F,y\n12:00,1,2\n12:01,1,2\n", encoding="utf-8")
         assert main(["init", str(FMU), str(path)]) == 2
         said = capsys.readouterr().err
-        assert 'say which with time_format = "%H:%M" or "%M:%S"' in " ".join(said.split())
+        assert 'choose one with time_format = "%H:%M" or "%M:%S"' in " ".join(said.split())
         for given, stop in (("%H:%M", 60.0), ("%M:%S", 1.0)):
             out = ["--out", "first.toml", "--overwrite", "--read", f"time_format={given}"]
             assert main(["init", str(FMU), str(path), *out]) == 0
@@ -447,7 +451,7 @@ class TestWhereSomethingIsOpen:
         assert re.search(f"first.toml, line {number}: no column of 'a'.*input 'F'.*start", said)
         assert "inputs" not in tree["experiments"][0]
         assert "keeps its start value 0" in text
-        assert "# columns without a variable of the FMU: Zzz, Www" in text
+        assert "# columns that match no variable of the FMU: Zzz, Www" in text
         assert main(CHECK) == 0
 
 
@@ -559,12 +563,12 @@ class TestMistakes:
             (["missing.fmu", "a.csv"], "no FMU missing.fmu; check the path"),
             (["no.fmu", "a.csv"], "no.fmu"),
             ([str(FMU), "missing.csv"], "no file missing.csv; check the path"),
-            ([str(FMU), "broken.parquet"], "a parquet file that can be read"),
+            ([str(FMU), "broken.parquet"], "a readable parquet file"),
             ([str(FMU), "text.csv"], "text.csv .*columns of numbers.*none"),
             ([str(FMU), "a.csv", "./a.csv"], "a.csv .*named once.*2 times"),
             ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* exists already"),
-            ([str(FMU), "a.csv", "--out", "."], "a file but is a folder"),
-            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "must be written but cannot be"),
+            ([str(FMU), "a.csv", "--out", "."], "a file, but is a folder"),
+            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "cannot be written"),
         ],
     )
     def test_each_is_a_sentence(self, refused, arguments, pattern):

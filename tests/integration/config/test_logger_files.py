@@ -95,7 +95,7 @@ def test_an_fmu_with_reference_results_is_a_table_of_its_own(tmp_path, monkeypat
     np.testing.assert_array_equal(found.outputs[0].times, T[::2][T[::2] <= 1.0])
     np.testing.assert_array_equal(found.outputs[0].values, Y[::2][T[::2] <= 1.0])
     assert main(["init", str(FMU), "--out", "other.toml"]) == 2
-    assert "carry reference results (FMI-LS-REF)" in " ".join(capsys.readouterr().err.split())
+    assert "contain reference results (FMI-LS-REF)" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_folder_of_tables_is_drafted_with_its_conditions_and_parameters(
@@ -165,7 +165,8 @@ def test_tests_in_a_file_are_an_experiment_each_and_read_once(tmp_path, monkeypa
     for each, number in zip(runs, (3, 7), strict=True):
         np.testing.assert_allclose(each.inputs[0].values, number * F)
     config('[[experiments]]\nid = "a"\ndata = "all.csv"\nsplit_by = "test"\nsplit_value = "8"\n')
-    with pytest.raises(DataError, match=r"split_value: .*all.csv, column 'test': has no '8'"):
+    refused = r"split_value: .*all.csv, column 'test': has no value '8'; available: '3', '7'"
+    with pytest.raises(DataError, match=refused):
         ce.read_problem("first.toml")
 
 
@@ -175,7 +176,9 @@ def test_a_column_may_be_named_by_a_part_of_its_name(tmp_path, monkeypatch):
     Path("a.csv").write_text(content, encoding="utf-8")
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\ninputs.F = "*.F*"\noutputs.y = "CAN1.y*"\n')
     np.testing.assert_array_equal(ce.read_problem("first.toml").experiments[0].inputs[0].values, F)
-    with pytest.raises(DataError, match=r"'CAN1\*': must match one column but matches 'CAN1.F \[N"):
+    with pytest.raises(
+        DataError, match=r"'CAN1\*': must match one column, but matches 'CAN1.F \[N"
+    ):
         ce.read_problem("first.toml", ["experiments.a.inputs.F=CAN1*"])
 
 
@@ -185,8 +188,8 @@ def test_what_was_found_out_is_said_by_check(tmp_path, monkeypatch, capsys):
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
     assert main(["check", "first.toml"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "reading a: its text is not UTF-8 and is read as cp1252, a guess" in said
-    assert "its header is row 2" in said
+    assert "reading a: its text is not UTF-8 and is read as cp1252, which is a guess" in said
+    assert "its header is in row 2" in said
 
 
 def test_units_below_the_header_are_compared_with_those_of_the_model(tmp_path, monkeypatch, capsys):
@@ -197,7 +200,7 @@ def test_units_below_the_header_are_compared_with_those_of_the_model(tmp_path, m
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
     assert main(["check", "first.toml"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "column 'y' in mm is given to y, which is in m, without a conversion" in said
+    assert "column 'y' in mm is used for y, which is in m, without a conversion" in said
     assert "columns.y = { factor = 0.001, offset = 0 }" in said
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\ncolumns.y = { factor = 0.001 }\n')
     main(["check", "first.toml"])

@@ -164,7 +164,7 @@ def test_more_points_make_a_map_no_rougher(read, count, rel):
         ({"points": [0.0, 0.0, 1.0]}, "maps.map.points: must increase"),
         (
             {"variables": ["a", "b"]},
-            "maps.map.variables: must have a name for each of the 3 points but has 2",
+            "maps.map.variables: must have a name for each of the 3 points, but has 2",
         ),
         ({"start": [1.0]}, "maps.map.start: .*one for each of the 3 points"),
         ({"slope_change": 1.0}, "maps.map.bounds: .*finite with slope_change"),
@@ -190,7 +190,7 @@ TAKEN, STARTED = {"map_2": {"start": 1.0}}, SECTION | {"start": 1.0}
         (STARTED, {"parameters": TAKEN}, "its value map_2 must have a unique name"),
         (STARTED, {"values": "a,1\nb,high\nc,1\n"}, "found.csv: b .*a number.*estimated"),
         (STARTED, {"values": "a,1\nb,99\nc,1\n"}, r"maps.map.start: .*bounds \[-9.0, 9.0\].*99"),
-        (SECTION, {"values": "b,3\n"}, r"maps.map.start: .*the files of values have all"),
+        (SECTION, {"values": "b,3\n"}, r"maps.map.start is missing, and no file of values"),
     ],
 )
 def test_names_and_values_of_files_that_do_not_fit(read, section, given, pattern):

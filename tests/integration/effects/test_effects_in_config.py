@@ -104,7 +104,7 @@ def test_an_equation_that_does_nothing_is_left_out_of_an_export(folder, capsys):
     assert code == 0
     assert main(["export", str(out), "--text"]) == 0
     shown = "".join(capsys.readouterr())
-    assert "'friction' has no influence at its values and is left out" in shown
+    assert "'friction' is left out, because it has no influence" in shown
 
 
 def test_an_effect_may_have_coefficients_of_each_experiment(folder):
@@ -130,14 +130,14 @@ def test_effects_elsewhere_have_the_same_bits(folder, executor):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('"der(v)"', '"der(w)"', r"no such site der\(w\)"),
+        ('"der(v)"', '"der(w)"', r"has no site der\(w\)"),
         ('"coulomb"', '"colomb"', "did you mean 'coulomb'"),
         ('site = "der(v)"', 'place = "der(v)"', "unknown key effects"),
         ("width =", "widht =", "no such coefficient.*did you mean 'width'"),
         (", width = { start = 0.01, fixed = true }", "", r"parameters\.width\.start is missing"),
-        ('form = "coulomb"', "", "must have either form or equation.*neither"),
-        ('form = "coulomb"', 'form = "coulomb"\nequation = "k"', "form or equation.*both"),
-        ("start = 0.1", "start = -0.1", r'"friction\.k"\.start: must lie in its bounds'),
+        ('form = "coulomb"', "", "exactly one of form and equation.*neither"),
+        ('form = "coulomb"', 'form = "coulomb"\nequation = "k"', "form and equation.*both"),
+        ("start = 0.1", "start = -0.1", r'"friction\.k"\.start: must lie within the bounds'),
     ],
 )
 def test_a_wrong_effect_is_one_sentence(folder, capsys, old, new, said):

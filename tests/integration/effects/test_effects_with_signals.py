@@ -203,7 +203,7 @@ def test_the_sun_is_fitted_from_a_config(folder):
         ("{ sun =", "{ T_wall =", "T_wall.*must not be.*variable of room.fmu"),
         ("{ sun =", "{ t =", "t: must not be named t or s"),
         ("sunshine", "sunshin", "'sunshin'.*did you mean 'sunshine'"),
-        ('= "sunshine"', "= 3", "must be a column's name"),
+        ('= "sunshine"', "= 3", "must be the name of a column"),
         ("signals =", "signal =", "did you mean"),
         ('outputs = { y = "room" }', f'outputs = {{ y = "room" }}{DARK}', "'dark'.*must.*'sun'"),
     ],

@@ -204,7 +204,7 @@ LEFT_OUT = "must be left out with slope_change"
     [
         (
             {"form": "coulomb", "parameters": {"width": {"start": 0.1}}},
-            r"slope_change: must be used with a free curve",
+            r"slope_change: is only for a form that is a free curve",
         ),
         ({"bounds": [2.0, 1.0]}, r"bounds: must be \[lower, upper\]"),
         ({"bounds": [1.0, 2.0]}, r"start: must lie within the bounds"),
@@ -219,7 +219,7 @@ LEFT_OUT = "must be left out with slope_change"
         ({"name": "my extra"}, r"my extra: must have a name of letters, digits and _"),
         (
             {"parameters": {"low": {"start": 1.0}, "high": {"start": 0.0}}},
-            r"low\.start: must be below the start of high, 0.*1",
+            r"low\.start: must be below the start of high, which is 0, but is 1",
         ),
         ({"parameters": ENDS | {"k2": {"fixed": True}}}, rf"k2\.fixed: {LEFT_OUT}"),
         ({"parameters": ENDS | {"k2": {"per": "experiment"}}}, rf"k2\.per: {LEFT_OUT}"),

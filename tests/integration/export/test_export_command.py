@@ -76,7 +76,10 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     folder = Path(extract(str(fmu), str(tmp_path / "unpacked")))
     result = output_of(folder, data["time"], {"F": data["force"]}, "y")
     np.testing.assert_allclose(result, truth, rtol=0.0, atol=1e-6)
-    assert "It was not measured." in (folder / "documentation" / "README.md").read_text()
+    assert (
+        "communication steps was not measured."
+        in (folder / "documentation" / "README.md").read_text()
+    )
 
 
 @pytest.mark.slow
@@ -92,10 +95,10 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     assert "harder (cubic) at der(v)" in readme
     (shape,) = rows(run, "shapes")
     span = f"x from {min(shape['x']):.4g} to {max(shape['x']):.4g} m"
-    assert f"estimated over {span}; beyond, a guess" in readme
+    assert f"estimated over {span}; extrapolated outside" in readme
     assert read_config(run / "config.toml").model.rtol is None  # what the solver then takes
     assert float(read_model_description(str(fmu)).defaultExperiment.tolerance) == 1e-8
-    assert "the run had a relative tolerance of 1e-08" in " ".join(readme.split())
+    assert "The run had a relative tolerance of 1e-08" in " ".join(readme.split())
     errors = {row["experiment"]: row for row in rows(run, "errors")}
     for name, row in errors.items():
         sizes = f"{row['rmse_before']:.4g} | {row['rmse_after']:.4g}"
@@ -188,8 +191,8 @@ def test_a_table_of_values_has_their_intervals(run, tmp_path, export):
 
 def test_equations_for_a_modeller(export):
     printed, said = export("--modelica", "--text")
-    assert "x0 has a value for each experiment and keeps its start" in said
-    assert "(x0 = 0); choose the values of one with --experiment ID" in said
+    assert "x0 has a value for each experiment, so the exported FMU keeps" in said
+    assert "(x0 = 0); to use the values of one experiment, give --experiment ID" in said
     assert 'parameter Real harder_k(unit="' in printed
     assert '"95 %: ' in printed
     assert "harder_at_v = -harder_k*x^3;" in printed
@@ -201,8 +204,8 @@ def test_equations_for_a_modeller(export):
     ("arguments", "said"),
     [
         ([], "needs an output to write.*--fmu"),
-        (["--fmu", "no/such/a.fmu"], "--fmu: must be in a folder that exists.*no/such"),
-        (["--ssv", "no/a.ssv"], "--ssv: must be in a folder that exists.*no does not"),
+        (["--fmu", "no/such/a.fmu"], "--fmu: must be in an existing folder.*no/such"),
+        (["--ssv", "no/a.ssv"], "--ssv: must be in an existing folder.*no does not"),
         (["--ssv", "values.xml"], r"must end in \.ssv.*'values\.xml'"),
         (["--text", "--experiment", "exp6"], "must be an experiment of the run.*'exp6'"),
         (["--text", "--config", "nowhere.toml"], "no config file nowhere.toml"),
@@ -215,7 +218,7 @@ def test_what_cannot_be_is_said_in_a_sentence(export, arguments, said):
 def test_the_original_is_never_written_over(run, export):
     original = run.parent / "models" / "mass_spring_damper.fmu"
     before = original.read_bytes()
-    assert "must be another file than the original FMU" in export("--fmu", original, code=2)[1]
+    assert "must differ from the original FMU" in export("--fmu", original, code=2)[1]
     assert original.read_bytes() == before
 
 

@@ -73,7 +73,7 @@ def test_the_description_is_one_of_fmi_2(types):
     variables = {v.name: v for v in described.modelVariables}
     assert described.fmiVersion == "2.0"
     assert "blob" not in variables
-    assert any("lacks blob, y_blob, which FMI 2.0 cannot describe" in note for note in notes)
+    assert any("does not show blob, y_blob, because FMI 2.0 cannot" in note for note in notes)
     kinds = {"float32": "Real", "uint64": "Integer", "mode": "Enumeration", "boolean": "Boolean"}
     assert {name: variables[name].type for name in kinds} == kinds
     assert (variables["n"].variability, variables["n"].start) == ("constant", "4")
@@ -154,7 +154,9 @@ def test_get_and_set_state(exported):
 
 
 def test_what_the_run_needs_and_fmi_2_has_not_is_refused(own_fmu, tmp_path):
-    with pytest.raises(ModelError, match=r"'int64' is .* of FMI 3.0 with no equivalent there"):
+    with pytest.raises(
+        ModelError, match=r"'int64' is .* of FMI 3.0, which has no equivalent there"
+    ):
         written(repair(own_fmu, ("int64", 2**40)), tmp_path / "types.fmu")
 
 
@@ -216,7 +218,7 @@ def test_units_and_types_are_kept_and_the_rest_is_left_out(tmp_path):
     model = Model("rich.fmu", archive, "model_exchange", Solver("dormand_prince"), ())
     path = tmp_path / "rich_repaired.fmu"
     notes = written(repair_of(model, Experiment("e", 0.0, 1.0, (), (output,)), (), (), ()), path)
-    assert any("lacks vast, texts[1], texts[2], clock, which FMI 2" in note for note in notes)
+    assert any("show vast, texts[1], texts[2], clock, because FMI 2" in note for note in notes)
     assert validate_fmu(str(path)) == []
     variables = {v.name: v for v in read_model_description(str(path)).modelVariables}
     hot, far = variables["T"], variables["far"]

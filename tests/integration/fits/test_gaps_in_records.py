@@ -51,10 +51,20 @@ def write(folder, missing):
 @pytest.mark.parametrize(
     ("missing", "found"),
     [
-        ("tFy", "nothing measured: input F may have changed there, so the part after it begins"),
-        ("Fy", "nothing measured: input F may have changed there, so the part after it begins"),
-        ("F", "input F not measured: input F may have changed there, so the part after it begins"),
-        ("y", "output y not measured: the inputs are known in the gap"),
+        (
+            "tFy",
+            "no data at all: input F may have changed there, so a new part begins after the gap",
+        ),
+        (
+            "Fy",
+            "no data at all: input F may have changed there, so a new part begins after the gap",
+        ),
+        (
+            "F",
+            "no data for input F: input F may have changed there, so a new part begins after the "
+            "gap",
+        ),
+        ("y", "no data for output y: the inputs are known in the gap"),
     ],
 )
 def test_a_gap_is_told_of_and_leads_no_estimate_astray(tmp_path, missing, found):

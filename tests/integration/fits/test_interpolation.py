@@ -68,7 +68,7 @@ def test_the_interpolation_that_the_data_prefer_is_named(kind, truth, how, noise
     assert found.interpolation is not None
     assert (found.interpolation.variable, found.interpolation.preferred) == ("F", truth)
     assert found.interpolation.share == pytest.approx(1.0, abs=4.0 * found.interpolation.error)
-    (said,) = [note for note in found.notes if "prefer input F" in note]
+    (said,) = [note for note in found.notes if "fits better with input F" in note]
     assert KEY % truth in said
     assert found.facts()["interpolation"]["preferred"] == truth
     right = ce.fit(spring(kind, truth, truth, noise), resources=ONE)
@@ -113,7 +113,7 @@ def test_a_poor_fit_names_the_record_and_the_time_of_a_jump():
     parameters = [ce.Parameter("K", 0.04, (0.01, 0.2)), ce.Parameter("J", 4e-4, (1e-5, 1e-2))]
     found = ce.fit(ce.Problem(model, parameters, [run]), resources=ONE)
     (other,) = interpolation_sentences(found)
-    assert "prefer input V to be held" in other
+    assert "fits better with input V held" in other
     assert "in experiment the motor after the jump at 0.095 s" in other
     (said,) = interpolation_sentences(replace(found, interpolation=None))
     assert said.startswith("the error of current is largest just after jumps of input V")
@@ -129,7 +129,7 @@ def test_a_closed_loop_says_it_first(rows):
     problem = spring("a sine with steps", "hold", "linear", noise=0.02)
     thinning = ThinningSettings(rows=rows) if rows else None
     found = ce.close_loop(problem, ONE, thinning=thinning)
-    (said,) = [note for note in found.notes if "prefer input F to be held" in note]
+    (said,) = [note for note in found.notes if "fits better with input F held" in note]
     assert found.notes[0] == said
-    assert found.message.endswith(f"but the measurements prefer {KEY % 'hold'}: set it first")
+    assert found.message.endswith(f"but the model fits better with {KEY % 'hold'}: set it first")
     assert KEY % "hold" in said

@@ -194,7 +194,7 @@ def test_an_unstable_model_is_fitted_in_segments_and_says_so(standing):
     assert [e.normalised_after for e in standing.errors] == pytest.approx([1.0, 1.0], abs=0.1)
     said = " ".join(standing.notes)
     assert "come from 32 segments" in said
-    assert "in one piece, from its start, the cost is" in said
+    assert "in one piece from their start, the cost is" in said
 
 
 def test_the_curves_of_segments_are_one(standing):
@@ -230,7 +230,7 @@ def test_workers_change_no_bit_and_what_needs_whole_records_is_left_out(standing
     )
     assert again.x == standing.x
     assert again.cost == standing.cost
-    assert "uncertainty.profiles was requested but left out" in " ".join(again.notes)
+    assert "uncertainty.profiles was requested but is not computed" in " ".join(again.notes)
 
 
 @pytest.mark.slow
@@ -238,7 +238,7 @@ def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
     result = ce.fit(standing_rod(), shooting={"segments": 2})
     assert near(result, ROD)
     assert result.shooting.segments > result.shooting.asked == 2
-    assert any("instead of 2, which were too long" in note for note in result.notes)
+    assert any("instead of 2, because 2 segments were too long" in note for note in result.notes)
 
 
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
@@ -259,7 +259,7 @@ def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsy
     ("override", "sentence"),
     [
         ("method.shooting={segments=1}", "method.shooting.segments"),
-        ("multistart.n=4", "multistart requests 4 starts"),
+        ("multistart.n=4", "multistart asks for 4 starts"),
     ],
 )
 def test_what_a_config_cannot_ask_for_is_one_sentence(tmp_path, capsys, override, sentence):
@@ -291,7 +291,7 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
 @pytest.mark.parametrize(
     ("problem", "shooting", "how", "said"),
     [
-        (springs(), {}, {}, "shooting: must have segments or length.* neither"),
+        (springs(), {}, {}, "shooting: must have either segments or length.* neither"),
         (springs(), {"segments": 3, "length": 1.0}, {}, "shooting: must have .* both"),
         (springs(), {"segments": 1}, {}, r"shooting\.segments: must be .*2"),
         (springs(), {"length": 0.0}, {}, r"shooting\.length: must be .*0"),
@@ -302,7 +302,7 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
         (stateless(), THREE, {}, "needs a model with states"),
         (replace(springs(), cost=COSTS["huber"]()), THREE, {}, 'needs cost.name = "sse"'),
         (springs(), THREE, {"method": "pattern_search"}, "needs .*least_squares.* pattern_search"),
-        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart requests 3 starts"),
+        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart asks for 3 starts"),
     ],
 )
 def test_what_segments_cannot_help_is_refused(problem, shooting, how, said):
@@ -318,7 +318,7 @@ def test_a_price_of_continuity_that_no_noise_explains_is_said(standing):
     )
     result = ce.fit(pushed, shooting={"segments": 5})
     assert result.shooting.continuity_p < 1e-3
-    assert any("more than noise explains" in note for note in result.notes)
+    assert any("noise does not explain the difference" in note for note in result.notes)
 
 
 def test_a_budget_that_runs_out_is_no_sign_of_chaos():

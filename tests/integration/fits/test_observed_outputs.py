@@ -34,7 +34,7 @@ def test_parameters_and_scales_are_found_and_stand_in_tables_and_a_note(differen
     rows = scaled.table("scales").to_pylist()
     assert [row["scale"] for row in rows] == pytest.approx(SCALES, rel=1e-3)
     assert [row["offset"] for row in rows] == pytest.approx(OFFSETS, abs=1e-3)
-    assert any("y is compared up to scale or offset: scale 0.5 to 3.7" in n for n in scaled.notes)
+    assert any("the fitted scale is 0.5 to 3.7" in n for n in scaled.notes)
     table = scaled.table("residuals").to_pydict()
     gaps = np.array(table["measured"]) - np.array(table["simulated"])
     assert np.abs(gaps).max() < 1e-3
@@ -132,13 +132,13 @@ HUBER = COSTS["huber"]()
     [
         (
             with_outputs(hidden_springs(detection_limit=LIMIT), lambda o: replace(o, sigma=1.0)),
-            "must have a sigma with a detection_limit",
+            "must have a sigma if it has a detection_limit",
         ),
         (
             replace(hidden_springs(detection_limit=LIMIT), cost=HUBER),
-            "must be used with the cost sse",
+            "so cost.name must be",
         ),
-        (replace(observed(free_scale=True), cost=HUBER), "must be used with the cost sse"),
+        (replace(observed(free_scale=True), cost=HUBER), "so cost.name must be"),
     ],
 )
 def test_a_limit_without_a_sigma_and_another_cost_are_refused(problem, said):

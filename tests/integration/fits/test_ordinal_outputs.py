@@ -94,8 +94,8 @@ def test_the_note_counts_the_pairs_in_order():
         tau = kendalltau(output.values, values, variant="c").statistic
         excess = tau * len(values) ** 2 * (1.0 - 1.0 / 4.0) / 2.0
         there, agreeing = there + unequal, agreeing + (unequal + excess) / 2.0
-    (note,) = [n for n in result.notes if "only by the order of its values" in n]
-    assert f"{agreeing / there:.3%} are simulated in their order" in note
+    (note,) = [n for n in result.notes if "only the order of the values of y is compared" in n]
+    assert f"{agreeing / there:.3%} are simulated in the right order" in note
 
 
 def test_the_tables_hold_categories_and_what_is_nearest_in_them():
@@ -130,7 +130,7 @@ def test_a_held_out_part_has_the_categories_of_its_record():
     )
     for one, other in zip(own, of_record, strict=True):
         assert one == pytest.approx(other, rel=1e-6)
-    assert any("of the pairs of held-out values" in note for note in result.notes)
+    assert any("of the pairs of different held-out values" in note for note in result.notes)
 
 
 def test_a_sensor_that_is_read_in_numbers_counts_beside_one_that_is_not():
@@ -162,7 +162,7 @@ def still(problem):
     ("change", "how", "said"),
     [
         (still, {}, "output y: an ordinal output must have at least two different values"),
-        (lambda p: replace(p, cost=COSTS["huber"]()), {}, "must be used with the cost sse"),
+        (lambda p: replace(p, cost=COSTS["huber"]()), {}, "so cost.name must be"),
         (None, {"uncertainty": ce.UncertaintySettings(profiles=("k",))}, "uncertainty.profiles"),
         (None, {"uncertainty": ce.UncertaintySettings(posterior=1000)}, "has an ordinal output"),
         (None, {"shooting": {"segments": 3}}, "cannot cut experiment 'e0'"),
@@ -211,18 +211,18 @@ def test_a_config_gives_words(words):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ([outputs("['low', 'high']")], "one of the grades that are listed but is 'medium'"),
+        ([outputs("['low', 'high']")], "one of the listed grades, but is 'medium'"),
         ([outputs("['low', 'low']")], "ordinal: must name each grade once.*'low'"),
         ([outputs("['low']")], "ordinal: must be .* at least two words"),
         ([outputs("3")], "ordinal: must be .* at least two words"),
-        ([outputs("true")], "row 2: must be a number but is ' medium '"),
+        ([outputs("true")], "row 2: must be a number, but is ' medium '"),
         ([WORDS.replace("position", "place")], "has no column 'place'"),
         (
             [outputs("true", ", free_scale='shared'")],
             'free_scale: must not be "shared" for an ordinal output',
         ),
-        ([WORDS, "cost.time_base=union"], "where it is ordinal"),
-        ([WORDS, "cost.normalise=range"], "where it is ordinal"),
+        ([WORDS, "cost.time_base=union"], "because it is ordinal"),
+        ([WORDS, "cost.normalise=range"], "because it is ordinal"),
     ],
 )
 def test_a_mistake_in_a_config_is_met_with_a_sentence(given, said, words, capsys):

@@ -237,7 +237,7 @@ TWICE = with_effect(ce.Effect("more", "der(v)", "diffusion"), "q")
         (
             spring([shaken(1)], solver=ce.Solver("cvode")),
             None,
-            "must be dormand_prince or rk4 but is cvode",
+            "must be dormand_prince or rk4, but is cvode",
         ),
         (replace(spring([shaken(1)]), cost=COSTS["huber"]()), None, 'needs cost.name = "sse"'),
         (
@@ -250,7 +250,7 @@ TWICE = with_effect(ce.Effect("more", "der(v)", "diffusion"), "q")
             None,
             "cannot be combined with effect 'late' at output y",
         ),
-        (TWICE, None, "must be used once at a site in each form"),
+        (TWICE, None, "may occur only once at a site in each form"),
         (spring([shaken(1)]), {"segments": 4}, "shooting: cannot be used with process noise"),
     ],
 )
@@ -260,7 +260,7 @@ def test_where_a_filter_cannot_be_is_one_sentence(problem, shooting, said):
 
 
 def test_a_simulation_refuses_the_same_noise_twice_too():
-    with pytest.raises(ProblemError, match="must be used once at a site"):
+    with pytest.raises(ProblemError, match="may occur only once at a site"):
         ce.simulate(TWICE)
 
 
@@ -285,5 +285,5 @@ def test_noise_that_vanishes_says_what_the_intervals_are_worth():
     result = ce.fit(spring(quiet, q=0.05))
     ended = result.x["noise.q"]
     assert ended < 0.05
-    said = "noise.q ended at its lower end" in " ".join(result.notes)
+    said = "noise.q ended at its lower bound" in " ".join(result.notes)
     assert said is (ended <= 1e-6 * 100.0)

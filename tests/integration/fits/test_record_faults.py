@@ -139,7 +139,7 @@ def test_two_records_say_nothing_of_which_is_odd():
 def test_a_loop_says_it_first_and_looks_for_no_effect():
     found = ce.close_loop(springs(only(ODD["gain"][0])), resources=ONE)
     assert found.verdict == "unexplained"
-    assert found.message.startswith("look at the record of experiment run 2 first")
+    assert found.message.startswith("check the record of experiment run 2 first")
     assert not found.effects
     assert not found.findings
 
@@ -153,7 +153,7 @@ def test_numbers_that_are_no_measurements_are_said_first_and_left_out_of_a_loop(
     problem = springs(only(sentinel))
     assert "-9999" in ce.fit(problem, resources=ONE).notes[0]
     found = ce.close_loop(problem, resources=ONE)
-    assert found.message.startswith("look at the records first: output y is -9999")
+    assert found.message.startswith("check the records first: output y is -9999")
     assert found.verdict == "none"
     assert found.after.x["k"] == pytest.approx(TRUE["k"], rel=0.02)
 

@@ -163,7 +163,7 @@ def test_a_config_asks_for_it(config, tmp_path):
 def test_a_check_takes_volts_for_no_wrong_unit(config, capsys):
     main(["check", config, *SHARED])
     said = capsys.readouterr().out
-    assert "another state" not in said
+    assert "a different state" not in said
     assert "seems to be in" not in said
 
 
@@ -171,11 +171,11 @@ def test_a_check_takes_volts_for_no_wrong_unit(config, capsys):
     ("given", "said"),
     [
         (outputs("free_scale='share'"), 'free_scale: must be true, false or "shared"'),
-        (outputs("free_offset=1"), 'free_offset: must be .*"shared" but is 1'),
+        (outputs("free_offset=1"), 'free_offset: must be .*"shared", but is 1'),
         (outputs("free_scale=true, free_offset='shared'"), "free_offset: must not .*free_scale is"),
         (
             "experiments.exp2.outputs={y={column='position', free_scale='shared'}}",
-            'free_scale: must be "shared" in all experiments with this output, or in none',
+            'free_scale: must be "shared" in every experiment that has this output, or in none',
         ),
     ],
 )

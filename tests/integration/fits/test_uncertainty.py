@@ -55,7 +55,7 @@ EACH = pytest.mark.parametrize(
 def test_a_redundant_parametrisation_is_named(solver, differences):
     result = ce.fit(free_springs(solver), ce.LeastSquares(differences=differences))
     (direction,) = result.uncertainty.directions
-    said = "m, k and c only together: all of them can grow by the same factor"
+    said = "m, k and c only in combination: all of them can grow by the same factor"
     assert said in direction.sentence
     np.testing.assert_allclose(direction.relative, 1.0, rtol=0.02)
     errors = [interval.std_error for interval in result.uncertainty.intervals]

@@ -44,7 +44,7 @@ def test_it_ends_at_the_first_time_at_which_the_sum_is_above_the_bound(solver):
         first = times[int(np.argmax(partial > bound))]
         assert outcome.status is Status.ENDED_EARLY
         assert re.search(
-            f"squares had already exceeded the bound.* at t = {first:.9g} s", outcome.message
+            f"squares had already exceeded the limit.* at t = {first:.9g} s", outcome.message
         )
         assert outcome.residuals is None
         assert (outcome.ok, outcome.failed) == (False, False)

@@ -178,7 +178,7 @@ def test_the_step_is_the_configured_one_or_the_fmus_own_or_one_that_fits_all_tim
 @pytest.mark.parametrize(
     ("times", "step", "said"),
     [
-        ([0.0, 0.1, 0.25], None, r"experiment 'e'.*fixed length.*set model\.step"),
+        ([0.0, 0.1, 0.25], None, r"experiment 'e'.*fixed communication step.*set model\.step"),
         ([0.0, 1.0], 1e-9, r"experiment 'e'.*more than model\.max_steps = 1000000"),
     ],
 )

@@ -250,11 +250,11 @@ def test_a_derivative_that_is_not_finite_is_said():
     )
     assert plain.ok
     assert outcome.status is Status.NOT_FINITE
-    assert outcome.message == "the derivative of 'der(v)' by 'x' is nan at t = 0 s"
+    assert outcome.message == "the derivative of 'der(v)' with respect to 'x' is nan at t = 0 s"
 
 
 def test_co_simulation_is_refused():
-    with pytest.raises(ModelError, match=r"gives in model exchange only.*co_simulation"):
+    with pytest.raises(ModelError, match=r"provides only in model exchange.*co_simulation"):
         answer(model_of(Solver("fmu")), driven(), SPRING, "linearisation")
 
 

@@ -36,7 +36,7 @@ KINDS, EXECUTOR_PAIRS = (
         ("executor", ("local", "processes")),
     )
 )
-DIED = "An FMU that runs in it has crashed or ended it"
+DIED = "An FMU that runs in this process crashed or ended it"
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_a_state_that_survives_a_reset(fitted, tmp_path, fmi, interface, capsys)
     assert fitted("reset_keeps_state", fmi, f"model.interface={interface}") == 0
 
     assert chosen(tmp_path) == "instance"
-    assert "keeps something through a reset" in capsys.readouterr().err
+    assert "keeps data through a reset" in capsys.readouterr().err
     assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
@@ -92,7 +92,7 @@ def test_a_new_process_for_each_simulation(fitted, tmp_path, reset):
 
 def test_one_process_cannot_be_new_each_time(fitted, capsys):
     assert fitted("dahlquist", 2, "model.reset=process") == 2
-    assert 'choose "processes" or "ray"' in capsys.readouterr().err
+    assert 'set executor.name to "processes" or "ray"' in capsys.readouterr().err
 
 
 def test_values_of_another_experiment_that_survive_a_reset(fitted, tmp_path):
@@ -221,9 +221,7 @@ def test_instances_that_share_a_static_variable_are_refused_for_several_threads(
     several = [f"model.interface={interface}", "executor.workers=3"]
     assert fitted("shares_static", fmi, *several) == 2
     said = capsys.readouterr().err
-    assert re.search(
-        r"executor.workers: two instances of shares_static.*executor.workers = 1", said
-    )
+    assert re.search(r"executor.workers: .*instances of shares_static.*executor.workers = 1", said)
 
     assert fitted("shares_static", fmi, *several, "executor.name=processes") == 0
     assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
@@ -255,7 +253,7 @@ def test_an_fmu_that_has_survived_is_tried_apart_again_with_other_start_values(f
 
     crashing = "parameters.k = { start = 3.0, bounds = [0.01, 10.0] }\n"
     assert fitted("crashes_when_fast", fmi, "--overwrite", config=crashing) == 2
-    assert "must survive its first simulation" in capsys.readouterr().err
+    assert "must survive a simulation" in capsys.readouterr().err
 
 
 def command(*arguments):

@@ -108,7 +108,7 @@ def test_fixed_steps_divide_an_interval_and_are_counted(solver):
     for step, most in ((0.1, 9), (0.3, 3), (1e-12, 10**6), (1e-320, 10**6)):
         outcome = ends(Solver(solver, step, max_steps=most))
         assert outcome.status is Status.SOLVER_FAILURE
-        assert "model.max_steps, was reached at t = 1 s" in outcome.message
+        assert "data exceeded model.max_steps at t = 1 s" in outcome.message
 
 
 @pytest.mark.parametrize("solver", LOOPS)

@@ -27,7 +27,7 @@ def problem(path, names, outputs=("y",), **given):
 @pytest.mark.parametrize(
     ("names", "given", "said"),
     [
-        (("k", "kk"), {}, "parameters.kk: 'kk' must be a different variable but is another name"),
+        (("k", "kk"), {}, "parameters.kk: 'kk' must be a different variable, but is another name"),
         (("k",), {"values": (("kk", 2.0),)}, "'a'.values.kk: 'kk' must be a different variable"),
         (("kk",), {"values": (("k", 2.0),)}, "another name of 'kk', which parameters.kk gives"),
         ((), {"values": (("k", 1.0), ("kk", 2.0))}, "another name of 'k', which experiment 'a'"),

@@ -33,7 +33,7 @@ def test_a_binary_with_other_event_indicators_than_described_is_refused(own_fmu,
     fmu = with_description(ball, tmp_path / "ball.fmu", {indicator: ""})
     model = Model(fmu.name, fmu.read_bytes(), "model_exchange", EXACT, ())
     run = Experiment("e", 0.0, 1.0, (), (Output("height", TIMES, 0.0 * TIMES),))
-    with pytest.raises(ModelError, match=r"must have the 0 event indicators .* but has 1; export"):
+    with pytest.raises(ModelError, match=r"must have the 0 event indicators .*, but has 1; export"):
         Evaluator(model, [run], "w")
 
 
@@ -66,7 +66,7 @@ def test_what_an_fmu_prints_stays_out_of_the_output(own_fmu):
     [
         ("needs_tool", 2, r"the tool .* is not installed.*it needs"),
         ("needs_tool", 3, r"the tool .* is not installed.*it needs"),
-        ("wrong_platform", 2, r"must have .*linux64.* but has one for win64"),
+        ("wrong_platform", 2, r"must have .*linux64.*, but has one for win64"),
     ],
 )
 def test_an_fmu_that_cannot_work_here_is_refused_with_the_reason(own_fmu, name, fmi, said):

@@ -132,7 +132,7 @@ def test_of_more_charts_than_a_page_can_hold_those_with_the_largest_errors_are_d
     smallest = {f"run{i}" for i in np.argsort(sizes)[:2]}
     drawn = {p.attributes["data-experiment"] for p in Figures(path).panels}
     assert drawn == {f"run{i}" for i in range(252)} - smallest
-    assert "Of 252 charts the 250 with the largest errors are drawn." in Page(path).text
+    assert "Of 252 charts, the 250 with the largest errors are drawn." in Page(path).text
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_a_long_record_is_whole_in_the_page_for_who_zooms_in(copied):
     kept = np.random.default_rng(2).random(len(table)) > 0.1 * (table.experiment == "run1")
     pq.write_table(pa.Table.from_pandas(table[kept]), copied / "residuals.parquet")
     path = write_report(copied)
-    assert "Zooming in shows every sample in all of the long records" in Page(path).text
+    assert "the charts of all long records show every sample" in Page(path).text
     found = unpacked(path)
     for name in ("run0", "run1"):
         own = table[kept & (table.experiment == name)]
@@ -237,8 +237,8 @@ def test_of_more_samples_than_a_page_may_hold_it_says_where_they_are(copied):
     assert 0 < len(held) < 20
     assert all(len(curves["time"]) == 10_000 for curves in held.values())
     text = Page(path).text
-    assert f"Zooming in shows every sample in {len(held)} of 20 of the long records" in text
-    assert "residuals.parquet in the run's folder has them all" in text
+    assert f"the charts of {len(held)} of the 20 long records show every sample" in text
+    assert "residuals.parquet in the run's folder has all samples" in text
 
 
 @pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])

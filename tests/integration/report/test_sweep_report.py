@@ -68,7 +68,7 @@ def test_its_pictures_show_the_errors_and_the_estimates_of_every_run(sweep):
         assert sorted(place) == [0, 1, 2]
 
 
-NARROW = "its intervals are too narrow; the error of y is 4.6 times sigma"
+NARROW = "its intervals are too narrow, because the error of y is 4.6 times sigma"
 
 
 @pytest.mark.parametrize(

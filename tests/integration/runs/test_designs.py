@@ -70,12 +70,18 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
     assert "rival of coulomb at der(v)" in printed
     assert "assume that the models are exact" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
-    for text in ("What is fed in", "What is expected", "coulomb at der(v)", ">F (N)<", ">y (m)<"):
+    for text in (
+        "Input of the experiment",
+        "Predicted outputs",
+        "coulomb at der(v)",
+        ">F (N)<",
+        ">y (m)<",
+    ):
         assert text in page
     probabilities = rows(folder / "next", "probabilities")
     told = sum(each["after"] > max(0.9, each["before"]) for each in probabilities)
-    tells = f"{told} of {len(probabilities)} models" if told else "no model"
-    assert f"distinguishes {tells} from its rivals" in page
+    tells = f"{told} of {len(probabilities)} models from their" if told else "any model from its"
+    assert f"expected to distinguish {tells} rivals" in page
     units = {each["label"]: each["unit"] for each in rows(folder / "next", "precision")}
     assert units["k"] == "N/m"
 
@@ -123,10 +129,10 @@ def test_a_design_is_resumed_from_its_log(folder, design, tmp_path, capsys):
     (cut / "next_input.parquet").unlink()
     change_facts(cut, status="interrupted")
     assert design("--resume") == 0
-    assert "simulations are in its log" in capsys.readouterr().err
+    assert "its log has" in capsys.readouterr().err
     assert tables(cut) == tables(folder / "next")
     assert design("--resume") == 0
-    assert "holds a finished run" in capsys.readouterr().err
+    assert "is already finished" in capsys.readouterr().err
 
 
 def test_what_is_there_is_not_overwritten(folder, tmp_path, capsys):
@@ -134,7 +140,7 @@ def test_what_is_there_is_not_overwritten(folder, tmp_path, capsys):
     full.write_text("time,F,y\n0.0,1.0,0.5\n", encoding="utf-8")
     for out, how, said in (
         (folder / "next.csv", [], "exists already"),
-        (folder / "loop.csv", ["--overwrite"], "which contains or is the run to read"),
+        (folder / "loop.csv", ["--overwrite"], "but this folder contains or is the run to read"),
         (full, ["--overwrite"], "contains measurements, which are not overwritten"),
         (full, ["--resume"], "contains measurements, which are not overwritten"),
     ):
@@ -197,7 +203,7 @@ def test_an_input_that_moves_nothing_tells_nothing_apart(design, tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (limits_text('criterion = "discriminate"'), "must have at least two models to distinguish"),
+        (limits_text('criterion = "discriminate"'), "needs at least two models to distinguish"),
         (
             limits_text('waveforms = ["recorded"]', within=(50.0, 60.0), duration=[9.0, 9.0]),
             "waveforms: must leave an input to try",
@@ -210,7 +216,7 @@ def test_what_a_fit_cannot_be_designed_for_is_refused(spring, text, said):
 
 
 def test_no_result_is_refused():
-    with pytest.raises(ProblemError, match="result: must be what fit or close_loop returned"):
+    with pytest.raises(ProblemError, match="result: must be a result of fit or close_loop"):
         ce.design(3, read_text(LIMITS).limits)
 
 

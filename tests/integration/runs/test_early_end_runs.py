@@ -75,5 +75,5 @@ def test_the_replay_of_an_early_end_ends_as_early(run, capfd):
         capfd.readouterr()
         assert main(["replay", str(folder), str(number), "--config", SPRING]) == 0
         out = capfd.readouterr().out
-        assert "then: ended early: the sum of squares had already exceeded the bound at t = " in out
-        assert out.endswith("it was ended early, as it was then\n")
+        assert "then: ended early: the sum of squares had already exceeded the limit at t = " in out
+        assert out.endswith("the simulation was ended early, as in the run\n")

@@ -102,7 +102,7 @@ def test_eight_workers_share_three_instances(run, counted, executor, tmp_path, c
     wanted = "executor.workers=8", "executor.instances=3", f"executor.name={executor}"
     assert run("fit", *wanted) == 0
     assert counted.most == 3
-    assert capsys.readouterr().err.count("3 of the 8 workers of executor.workers") == 1
+    assert capsys.readouterr().err.count("3 of the 8 workers in executor.workers") == 1
 
     counted.forget()  # the second time the FMU is known, and no more than simulated
     assert run("fit", *wanted) == 0
@@ -143,7 +143,7 @@ def test_a_closed_loop_keeps_to_it(run, counted, tmp_path, executor):
     assert counted.most == 2
     assert counted.made < 20 < simulations(tmp_path)
     said = json.dumps(facts(tmp_path / "run"))
-    assert "a finer one fails" not in said, "the error of the solver was measured"
+    assert "finer solver setting fails" not in said, "the error of the solver was measured"
 
 
 @pytest.mark.parametrize(
@@ -159,8 +159,10 @@ def test_a_check_keeps_to_it(run, counted, capsys, instances, solver):
     assert run("check", *limit, "--seconds", "60") == 0
     assert counted.most == instances
     page = " ".join(capsys.readouterr().out.split())
-    tried = "not tried: executor.instances = 1 allows one at once"
-    several = f"{instances} at once in a process, and two of them do not disturb each other"
+    tried = "not tested, because executor.instances = 1 allows only one at a time"
+    several = (
+        f"{instances} instances at the same time in one process, which do not disturb each other"
+    )
     assert (tried if instances == 1 else several) in page
 
 
@@ -245,7 +247,7 @@ def test_an_instance_that_was_let_go_is_followed_by_a_new_one(asked):
 def test_instances_that_disturb_each_other_are_found_out_within_the_limit(own_fmu):
     """Two are tried at once, for which two workers let theirs go."""
     shared = bare_problem(own_fmu("shares_static", 2))
-    with pytest.raises(UnsuitableExecutorError, match="must not disturb each other"):
+    with pytest.raises(UnsuitableExecutorError, match="do not disturb each other"):
         open_with_reset(shared, Resources("local", 2, instances=2))
 
 

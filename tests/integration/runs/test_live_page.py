@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_is_not_stopped(ended):
     with LivePage(ended) as page:
         answer, content = Visitor(page).ask("/stop", "POST")
     assert answer.status == 409
-    assert b"must be a run in progress to be stopped but is done" in content
+    assert b"must be a run in progress to be stopped, but is done" in content
     assert not (ended / "stop").exists()
 
 
@@ -252,8 +252,11 @@ def test_the_folder_has_the_curves_of_a_run_that_has_ended(configured):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"config_folder": "/nowhere"}, "its config was in /nowhere, which is not here"),
-        ({"config_folder": None}, "must record the folder of its config's files but does not"),
+        (
+            {"config_folder": "/nowhere"},
+            "its config was in /nowhere, which does not exist on this machine",
+        ),
+        ({"config_folder": None}, "does not record the folder"),
     ],
 )
 def test_why_there_are_no_curves_is_said(on_its_way, change, said):
@@ -307,7 +310,9 @@ def test_fit_does_what_it_does_and_says_where_its_page_is(tmp_path, capsys):
     out = tmp_path / "run"
     assert main(["fit", SPRING, "--out", str(out), "--browser", "--no-report"]) == 0
     said = capsys.readouterr()
-    assert re.search(r"the page of the run is http://127\.0\.0\.1:\d+/\?token=\S{43}\n", said.err)
+    assert re.search(
+        r"the page of the run is at http://127\.0\.0\.1:\d+/\?token=\S{43}\n", said.err
+    )
     assert "token" not in said.out
     assert "token" not in (out / "run.json").read_text()
 
@@ -318,7 +323,7 @@ def test_watch_serves_the_page_until_ctrl_c(ended, capsys, monkeypatch):
     assert main(["watch", str(ended), "--browser"]) == 0
     said = capsys.readouterr()
     assert "http://127.0.0.1:" in said.err
-    assert "the page is closed" in said.out
+    assert "the page was closed" in said.out
 
 
 def test_watch_refuses_what_it_cannot_show(ended, tmp_path, capsys):

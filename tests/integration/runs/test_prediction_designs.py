@@ -119,7 +119,7 @@ def test_the_standard_deviations_are_those_of_a_linear_model(linear):
     drawn = sorted(value for value, each in scores if each.candidate.origin == "random")
     middle = np.sqrt(np.mean([(p.random / p.std_error_before) ** 2 for p in found.predictions]))
     assert min(abs(middle - np.exp(-np.array(drawn)))) < 0.01
-    assert "with a random input within the same limits to" in found.summary
+    assert "with a random input within the same limits, to " in found.summary
 
 
 PREDICT = "[[predictions]]\n"
@@ -224,17 +224,25 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
 @pytest.mark.parametrize(
     ("block", "table", "sentence"),
     [
-        ('experiment = "exp7"', "", "experiment must be one of the run but is 'exp7'"),
+        ('experiment = "exp7"', "", "experiment must be an experiment of the run but is 'exp7'"),
         ('outputs = ["F"]', "", "outputs must be variables that the FMU computes, but 'F' is not"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
-        ('time = "t"', "", r"predictions\[0\]\.time: must be given with data"),
+        ('time = "t"', "", r"predictions\[0\]\.time: is only for a planned experiment"),
         ("outputs = 3", "", r"predictions\[0\]\.outputs"),
         (FROM_TABLE, "t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
         (FROM_TABLE, "time,G\n0,1\n1,2\n", "has no variable 'G'"),
-        (FROM_TABLE, "time,F\n0,1\n", "must have at least one column for an input and two rows"),
-        (FROM_TABLE, "time\n0\n1\n", "must have at least one column for an input and two rows"),
-        (FROM_TABLE, "time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
+        (
+            FROM_TABLE,
+            "time,F\n0,1\n",
+            "must have at least one column for an input and at least two rows",
+        ),
+        (
+            FROM_TABLE,
+            "time\n0\n1\n",
+            "must have at least one column for an input and at least two rows",
+        ),
+        (FROM_TABLE, "time,F\n0,1\n0,2\n", "times must increase, but 0 repeats 0"),
         (FROM_TABLE, "time,F\n0,1\n1,high\n", r"predictions\[0\]\.inputs\.F"),
         (FROM_TABLE, "time,F\n0,1\n1,\n2,3\n", r"'F'\.values, index 1: must be a finite .* is nan"),
     ],
@@ -250,14 +258,14 @@ def test_what_cannot_be_predicted_is_refused_in_a_sentence(
 def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
     assert design("--predict", "exp9") == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "predictions: experiment must be one of the run but is 'exp9'" in said
+    assert "predictions: experiment must be an experiment of the run but is 'exp9'" in said
     assert not (tmp_path / "new.csv").exists()
 
 
 def test_another_criterion_has_nothing_to_predict(design, capsys):
     assert design("--predict", "exp4", text='criterion = "d"\n' + LIMITS) == 2
     assert '--predict: predictions: must be used with the criterion "v"' in capsys.readouterr().err
-    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*is with 'a'"):
+    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*criterion is 'a'"):
         read_text('criterion = "a"\n' + LIMITS + PREDICT)
     with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
         PredictionTarget(3)
@@ -273,5 +281,7 @@ def test_what_depends_on_nothing_estimated_is_refused(linear):
     [([planned(name="run")], "run"), ([planned(PLANNED), planned(0.5 * PLANNED)], "planned")],
 )
 def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
-    with pytest.raises(ProblemError, match=f"must have a unique name but '{name}' is used in"):
+    with pytest.raises(
+        ProblemError, match=f"must have a unique name, but '{name}' is the name of another"
+    ):
         wide(linear[0], 10, *map(PredictionTarget, plans))

@@ -98,8 +98,8 @@ def test_what_succeeded_gives_the_same_bits_again(fitted, replay):
         assert f"evaluation {number}: experiment a\n" in out
         assert f"search {rows[number]['search']}, point " in out
         assert f"m          {rows[number]['values'][0]!r}\n" in out
-        assert out.endswith("its residuals agree with the logged ones bit for bit\n")
-        assert "no longer the same as in the run" not in out
+        assert out.endswith("the residuals agree with the logged ones bit for bit\n")
+        assert "not the same as in the run" not in out
 
 
 def test_what_the_fmu_says_is_shown(tmp_path, capfd, replay, built_fmu):
@@ -117,7 +117,7 @@ def test_what_the_fmu_says_is_shown(tmp_path, capfd, replay, built_fmu):
     assert "decay (rate)  3.0\n" in said
     assert "then: solver failure: " in said
     assert "now: solver failure: " in said
-    assert "it failed as it did then\n" in said
+    assert "the simulation failed as in the run\n" in said
 
 
 def test_a_crash_is_told_by_its_signal(tmp_path, replay, built_fmu):
@@ -131,7 +131,11 @@ def test_a_crash_is_told_by_its_signal(tmp_path, replay, built_fmu):
 def test_where_the_files_of_the_config_are(run, capfd):
     for folder, arguments, said in (
         (None, [], "name the original config with --config"),
-        (str(run / "no"), [], "which is not here; name the config with --config"),
+        (
+            str(run / "no"),
+            [],
+            "which does not exist on this machine; name the config with --config",
+        ),
         (str(run / "no"), ["--config", "no.toml"], "there is no config file no.toml"),
     ):
         change_facts(run, config_folder=folder)
@@ -148,7 +152,7 @@ def test_where_the_files_of_the_config_are(run, capfd):
     ("gone", "said"),
     [
         ([], "1 of 4 residuals differ, by at most 0.01\n"),
-        (["residuals"], "their hashes differ, and their sums of squares differ by "),
+        (["residuals"], "their hashes differ, and the sums of squares differ by "),
     ],
 )
 def test_other_data_are_said(run, replay, gone, said):
@@ -161,7 +165,7 @@ def test_other_data_are_said(run, replay, gone, said):
 
 def test_a_log_without_residuals_still_has_their_squares(run, replay):
     rewrite(run, residuals=None, residuals_hash=None)
-    said = "the log does not keep its residuals; their sums of squares are the same\n"
+    said = "the log does not keep the residuals; the sums of squares are the same as now\n"
     assert replay(run, 0).endswith(said)
 
 
@@ -182,19 +186,19 @@ def test_what_was_reduced_is_reduced_again(tmp_path, capfd, cost, want, summed):
     out = capfd.readouterr().out
     assert f"then: ok, sum of {summed} " in out
     assert f"now: ok, sum of {summed} " in out
-    assert out.endswith("its residuals agree with the logged ones bit for bit\n")
+    assert out.endswith("the residuals agree with the logged ones bit for bit\n")
     rewrite(run, residuals=None, residuals_hash=None)
     assert main(["replay", str(run), str(number)]) == 0
-    said = f"does not keep its residuals; their sums of {summed} are the same\n"
+    said = f"does not keep the residuals; the sums of {summed} are the same as now\n"
     assert capfd.readouterr().out.endswith(said)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
-        ("experiment", "b", "its experiment must be in the config but is 'b'"),
-        ("effects", ["drag"], "'drag', which a closed loop tried, is not; add it"),
-        ("values", [1.0], "must have 2 values, as the config does, but has 1"),
+        ("experiment", "b", "its experiment must be in the config, but is 'b'"),
+        ("effects", ["drag"], "'drag', which the search for missing effects tried, is not; add it"),
+        ("values", [1.0], "has 1 values, but"),
     ],
 )
 def test_what_the_config_does_not_name(run, replay, name, value, sentence):
@@ -207,9 +211,12 @@ def test_what_the_config_does_not_name(run, replay, name, value, sentence):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["replay", "{run}", "100000"], "an ID must be a row of the log, from 0 to "),
-        (["replay", "{folder}", "0"], "must be the folder of a run but has no run.json"),
-        (["show", "{folder}", "--failures"], "must be the folder of a run but has no run.json"),
+        (
+            ["replay", "{run}", "100000"],
+            "the ID of a simulation must be a row of the log, from 0 to ",
+        ),
+        (["replay", "{folder}", "0"], "must be the folder of a run, but has no run.json"),
+        (["show", "{folder}", "--failures"], "must be the folder of a run, but has no run.json"),
     ],
 )
 def test_bad_arguments(fitted, capfd, arguments, sentence):

@@ -252,7 +252,7 @@ def test_a_finished_run_is_shown(tmp_path, observer, capsys):
     again = capsys.readouterr()
     assert not observer.simulated
     assert again.out == first.out
-    assert "holds a finished run" in again.err
+    assert "is already finished" in again.err
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
@@ -267,7 +267,7 @@ def test_a_run_that_goes_on_has_no_second_writer(how, killed, capsys):
         assert files() == before
     said = capsys.readouterr().err
     who = f"process {os.getpid()} on {socket.gethostname()}"
-    assert f"another process is running here ({who}); wait for it or end it" in said
+    assert f"another process is running here ({who}); wait for it, or end it" in said
     assert run(killed, how) == 0
     with RunLock(killed / "evaluations"):  # the run has let it go
         pass
@@ -282,14 +282,14 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("parameters.m.start=1.5", "parameters.m.start was 1.0 and is 1.5"),
-        ("method.options.trials=2", "method.options.trials was not there and is 2"),
-        ("close-loop", "begun by another command"),
-        ("numpy", "numpy was 0.1 and is "),
-        ("python", "python was 2.7.1 and is "),
-        ("fmu", "mass_spring_damper.fmu was a different FMU"),
+        ("parameters.m.start=1.5", "parameters.m.start was 1.0 then and is 1.5 now"),
+        ("method.options.trials=2", "method.options.trials was not there then and is 2 now"),
+        ("close-loop", "started by another command"),
+        ("numpy", "numpy was 0.1 then and is "),
+        ("python", "python was 2.7.1 then and is "),
+        ("fmu", "the FMU mass_spring_damper.fmu had other contents"),
         ("exp2", "the data of experiment 'exp2' were different"),
-        ("format", "its format is 1 and this version writes 2"),
+        ("format", "its format is 1, and this version of cluster-est writes 2"),
     ],
 )
 def test_a_run_of_something_else_is_refused(change, said, killed, observer, capsys):

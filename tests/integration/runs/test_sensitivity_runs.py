@@ -54,7 +54,7 @@ def test_it_has_no_estimates_to_go_on_with(run, command, capsys, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     assert main([str(run) if part == "RUN" else part for part in command]) == 2
     said = capsys.readouterr().err
-    assert "is the folder of a sensitivity analysis, which has no estimates" in said
+    assert "is a folder of sensitivity analysis, which has no estimates" in said
 
 
 @pytest.mark.parametrize(

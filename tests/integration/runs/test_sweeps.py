@@ -122,7 +122,9 @@ def test_a_sweep_of_doubtful_fits_does_not_end_as_if_all_were_well(sweep):
     assert code == 1
     (row,) = rows(OUT, "summary")
     assert row["status"] == "done"
-    found = re.search("intervals are too narrow; the error of y is (.*) times its", row["doubts"])
+    found = re.search(
+        "intervals are too narrow, because the error of y is (.*) times its", row["doubts"]
+    )
     assert found is not None
     assert float(found[1]) == pytest.approx(row["rmse_train"] / NOISE, rel=0.2)
     assert row["doubts"] in " ".join(printed.split())
@@ -366,14 +368,20 @@ def test_folders_of_others_are_left_alone(sweep):
     (OUT / "thesis.tex").touch()
     code, _, errors = sweep()
     assert code == 2
-    assert "out: must be new, empty or a sweep's own but holds other files" in errors
+    assert (
+        "out: must be a new or empty folder, or the folder of a sweep, but holds other files"
+        in errors
+    )
     (OUT / "thesis.tex").rename(OUT / "sweep.json")
     strange = OUT / "new/thesis.tex"
     strange.parent.mkdir()
     strange.touch()
     code, _, errors = sweep(axes=[], runs=[{"name": "new"}])
     assert code == 2
-    assert "out/new: must be a run's folder but holds other files, such as 'thesis.tex'" in errors
+    assert (
+        "out/new: must be the folder of a run, but holds other files, such as 'thesis.tex'"
+        in errors
+    )
     assert strange.exists()
 
 

@@ -52,7 +52,7 @@ def test_a_fit_and_a_check_work_in_this_process_and_a_replay_says_what_it_lacks(
     assert (run / "report.html").is_file()
     code, out, _ = checked
     assert code == 0, out
-    assert "two fresh instances give the same bits" in out
+    assert "two simulations in fresh instances are identical bit for bit" in out
     assert "no problem was found" in out
     assert '"processes"' not in out  # would be advice that cannot be followed
     assert unloaded[0] != 0

@@ -124,7 +124,7 @@ def test_the_result_of_a_loop_has_the_same_fields_and_tables(found):
     assert result.x == result.after.x
     assert result.jac.shape == (len(result.fun), len(result.after.solution.x))
     for shown in (html(result), str(result)):
-        assert f"Closed loop: {result.verdict}." in shown
+        assert f"Search for missing effects: {result.verdict}." in shown
         assert percent(result.effects[0].claim.probability) in shown
 
 
@@ -201,7 +201,7 @@ def test_residuals_at_a_point_that_fails_are_nan_and_say_why(truth):
         assert np.isfinite(f(f.x0)).all()
         with pytest.raises(ProblemError, match=r"x must have 5 numbers .* shape \(2,\)"):
             f([1.0, 2.0])
-    with pytest.raises(ProblemError, match="is closed; make it again"):
+    with pytest.raises(ProblemError, match="is closed; create it again"):
         f(f.x0)
 
 
@@ -237,7 +237,7 @@ def test_commands_read_what_was_saved(result, tmp_path, capsys):
     assert main(["report", str(saved)]) == 0
     assert (saved / "report.html").stat().st_size > 10_000
     assert main(["export", str(saved), "--text"]) == 2
-    assert "was saved from Python and has no config" in capsys.readouterr().err
+    assert "was saved from Python without one" in capsys.readouterr().err
 
 
 def test_nothing_is_replaced_unless_asked(result, tmp_path):
@@ -247,9 +247,11 @@ def test_nothing_is_replaced_unless_asked(result, tmp_path):
     assert ce.save(result, saved, overwrite=True) == saved
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "letter.txt").write_text("dear")
-    with pytest.raises(RunFolderError, match="must be new or empty but holds other files"):
+    with pytest.raises(
+        RunFolderError, match="must be a new or empty folder, but holds other files"
+    ):
         ce.save(result, tmp_path / "other", overwrite=True)
-    with pytest.raises(ProblemError, match="folder: must be a path but is 3"):
+    with pytest.raises(ProblemError, match="folder: must be a path, but is 3"):
         ce.save(result, 3)
 
 
@@ -257,7 +259,7 @@ def test_a_report_is_one_file(result, tmp_path):
     path = ce.report(result, tmp_path / "springs.html")
     assert [each.name for each in tmp_path.iterdir()] == ["springs.html"]
     assert "springs" in path.read_text(encoding="utf-8")
-    with pytest.raises(RunFolderError, match="must be written but cannot be"):
+    with pytest.raises(RunFolderError, match="cannot be written"):
         ce.report(result, tmp_path / "none" / "springs.html")
 
 
@@ -276,7 +278,7 @@ def test_an_export_has_the_estimates(result, tmp_path):
         ({}, ConfigError, "needs an output to write"),
         ({"fmu": "fitted.txt"}, ConfigError, "must end in .fmu but is 'fitted.txt'"),
         ({"text": True, "experiment": "e9"}, RunFolderError, "must be an experiment of the run"),
-        ({"fmu": 3}, ProblemError, "fmu: must be a path but is 3"),
+        ({"fmu": 3}, ProblemError, "fmu: must be a path, but is 3"),
     ],
 )
 def test_an_export_that_cannot_be(result, given, kind, said):

@@ -131,8 +131,8 @@ def test_the_page_has_every_case_with_its_figures_and_words():
     text = page_text([figures(0.1, (DRAG,), "found")], read_judgements(), {"rocket": "a/b.svg"})
     assert "| [rocket](#rocket) | m | 1 / 2 | 0.1 / 0.1 | 0.1 / 0.1 | 0.1 | found | right |" in text
     assert "| 1234 | 56 |" in text
-    assert "the drag of the air" in text
+    assert "| right | air drag |" in text
     assert "](a/b.svg)" in text
-    assert "| held-out error made worse | 0 of 1 |" in text
+    assert "| the loop increased the held-out error | 0 of 1 |" in text
     alone = CaseFigures(CASES["ur5e"], None, None, None, math.nan)
-    assert "Not all runs have ended in: ur5e." in page_text([alone], {}, {})
+    assert "Some runs have not ended for these cases: ur5e." in page_text([alone], {}, {})

@@ -75,7 +75,7 @@ def test_a_temporary_folder_takes_the_place_of_one_that_is_not_private(tmp_path,
     said = notice()
     assert str(folder.parent) in said
     assert f"because {chosen} is not a folder" in said
-    assert "CLUSTER_EST_CACHE names another folder" in said
+    assert "set CLUSTER_EST_CACHE to another folder" in said
 
 
 def test_a_user_of_a_common_folder_has_one_within_it(tmp_path, monkeypatch):

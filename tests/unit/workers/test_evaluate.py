@@ -101,7 +101,7 @@ class TestEverySolver:
         for place, mass in ((1, "-1"), (3, "nan"), (4, "0")):
             assert outcomes[place].status is Status.SOLVER_FAILURE
             start = rf"initialised at t = {EXPERIMENTS[0].start:.9g} s"
-            said = f"it said: mass must be positive, got {mass}"
+            said = f"the FMU said: mass must be positive, got {mass}"
             assert re.search(f"{start}.*{said}$", outcomes[place].message)
 
     def test_trajectory_and_residuals_tell_the_same(self, solver):
@@ -179,7 +179,7 @@ def test_a_tolerance_that_vanishes_is_no_division_by_zero(solver):
 
 
 @pytest.mark.parametrize(
-    ("rtol", "reason"), [(1e-30, "model.max_steps"), (1e-300, "no step was short enough")]
+    ("rtol", "reason"), [(1e-30, "model.max_steps"), (1e-300, "did not meet the tolerance")]
 )
 def test_tolerance_out_of_reach_is_an_outcome(rtol, reason):
     asked = fresh("dormand_prince", rtol=rtol, max_steps=10_000)
@@ -192,8 +192,8 @@ def test_tolerance_out_of_reach_is_an_outcome(rtol, reason):
 @pytest.mark.parametrize(
     ("name", "when", "why"),
     [
-        ("fails_late", "continue at t = 1", "it said: rate {} is too much after a second"),
-        ("talks", "be initialised at t = 0 s", "it said: rate {} is too much"),
+        ("fails_late", "continue at t = 1", "the FMU said: rate {} is too much after a second"),
+        ("talks", "be initialised at t = 0 s", "the FMU said: rate {} is too much"),
     ],
 )
 def test_a_failure_tells_when_and_why_and_nothing_of_its_neighbours(

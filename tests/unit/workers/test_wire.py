@@ -86,7 +86,7 @@ def test_tasks_come_back_with_all_they_carry():
 def test_a_batch_of_tasks_that_want_different_things_is_refused():
     values, drag = np.zeros(1), Effect("drag", "der(v)", "linear", ("v",))
     for other in (Task(1, 0, values, "trajectory"), Task(1, 0, values, effects=(drag,))):
-        with pytest.raises(ValueError, match="all its tasks must want the same"):
+        with pytest.raises(ValueError, match="all tasks in it must ask for the same"):
             TaskBatch.of([Task(0, 0, values), other])
 
 

@@ -39,7 +39,7 @@ def columns_of(name: str, values: Any) -> Iterator[tuple[str, Column | str]]:
             yield from columns_of(f"{name}.{field}", array[field])
         return
     shape = " x ".join(str(n) for n in np.shape(values))
-    what = f"must be a vector of numbers but is {shape or 'a'} "
+    what = f"must be a vector of numbers, but is {shape or 'a'} "
     what += f"{values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
     if array is None:
         yield name, what
@@ -136,7 +136,10 @@ class Clocks:
             different = {TIME_NAME: next(iter(different.values()))}
         notes: tuple[str, ...] = ()
         if len(different) > 1:
-            rates = f"its channels have {len(different)} different clocks, and each is read with "
+            rates = (
+                f"its channels have {len(different)} different time channels, and each channel is "
+                "read with "
+            )
             notes = (f"{rates}its own: {', '.join([*different][:6])}",)
         own: dict[str, Column] = {**different, **columns}
         units = dict.fromkeys(different, "s") | units

@@ -114,11 +114,13 @@ class DelimitedText(TableFormat):
         head = _head(path)
         kind = next((ending for mark, ending in OTHER_FORMATS if head.startswith(mark)), "")
         if kind:
-            raise DataError(f"must be text but is a {kind} file; rename it so that it ends in that")
+            raise DataError(
+                f"must be text, but is a {kind} file; rename it so that its name ends accordingly"
+            )
         mark = head.lstrip()[:1]
         if mark in (b"<", b"{"):
             what = "XML or HTML" if mark == b"<" else "JSON"
-            raise DataError(f"must be a table but is {what}; save it as csv")
+            raise DataError(f"must be a table, but is {what}; save it as csv")
         encoding, note = _encoding(head, reading.encoding)
         try:
             return _read(path, head, encoding, note, reading)
@@ -146,14 +148,17 @@ def _encoding(head: bytes, given: str) -> tuple[str, str]:
     """Return the encoding of a text, and a sentence if it is a guess."""
     for mark, encoding in MARKS:
         if head.startswith(mark):
-            return encoding, "" if encoding == "utf-8" else f"its text is {encoding.upper()}"
+            return encoding, "" if encoding == "utf-8" else f"its encoding is {encoding.upper()}"
     if given:
         return given, ""
     first, second = head[:4096:2].count(0), head[1:4096:2].count(0)
     pairs = len(head[:4096]) // 2
     for few, many, encoding in ((first, second, "utf-16-le"), (second, first, "utf-16-be")):
         if pairs and many > LEAST_NULS_OF_UTF16 * pairs and few < MOST_NULS_OF_TEXT * pairs:
-            return encoding, f"its text is {encoding.upper()} without a byte order mark, a guess"
+            return encoding, (
+                f"its text has no byte order mark and is read as {encoding.upper()}, which is a "
+                "guess; if it is wrong, set encoding"
+            )
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -166,13 +171,12 @@ def _guessed_encoding(text: bytes) -> tuple[str, str]:
         text.decode(GUESSED_ENCODING)
     except UnicodeDecodeError as error:
         raise DataError(
-            f"must say its encoding, because it is neither UTF-8 nor {GUESSED_ENCODING} (byte "
-            f'{error.start}), but does not; add encoding = "NAME", such as "shift_jis", or save it '
-            "as UTF-8"
+            f"must have a known encoding, but is neither UTF-8 nor {GUESSED_ENCODING} (byte "
+            f'{error.start}); add encoding = "NAME", such as "shift_jis", or save it as UTF-8'
         ) from None
     return GUESSED_ENCODING, (
-        f"its text is not UTF-8 and is read as {GUESSED_ENCODING}, a guess "
-        f"(encoding = {inline(GUESSED_ENCODING)})"
+        f"its text is not UTF-8 and is read as {GUESSED_ENCODING}, which is a guess; if it is "
+        f"wrong, change encoding = {inline(GUESSED_ENCODING)}"
     )
 
 
@@ -181,8 +185,8 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
         text = codecs.getincrementaldecoder(encoding)(errors="replace").decode(head)
     except LookupError:
         raise DataError(
-            f"must have an encoding that Python knows but has {encoding!r}; write one such as "
-            '"utf-8", "cp1252" or "utf-16"'
+            f"must have an encoding that Python knows, but encoding is {encoding!r}; write one "
+            'such as "utf-8", "cp1252" or "utf-16"'
         ) from None
     lines = re.split(r"\r\n|\n|\r", text.removeprefix("\ufeff"))
     if len(head) == HEAD_BYTES and len(lines) > 1:
@@ -197,7 +201,7 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
         _explain(path, layout)
     if skipped:
         kinds = "lines" if skipped > 1 else "line"
-        said = f"{skipped} {kinds} of comments between its rows are left out"
+        said = f"{skipped} {kinds} of comments between its rows are skipped"
         layout = replace(layout, notes=(*layout.notes, said))
     pairs = [(name, table.column(i)) for i, name in enumerate(layout.header.names)]
     columns, unusable = once(pairs)
@@ -246,7 +250,7 @@ def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
     start = reading.skip_rows or 0
     if start > len(lines):
         raise DataError(
-            f"must have more lines than skip_rows, {start}, but has fewer; lower skip_rows"
+            f"must have more lines than skip_rows, which is {start}, but has fewer; lower skip_rows"
         )
     lines = lines[: start + LINES_LOOKED_AT]
     found = _table(lines[: start + LINES_OF_LAYOUT], start, given=reading.skip_rows is not None)
@@ -327,7 +331,7 @@ def _plain(lines: Sequence[str], start: int) -> tuple[str, Header, bool]:
     """Return the layout of a table that begins with the first line that is not empty."""
     there = [i for i in range(start, len(lines)) if lines[i]]
     if not there:
-        raise DataError("must have a header and rows of numbers but is empty; check the file")
+        raise DataError("must have a header and rows of numbers, but is empty; check the file")
     line = lines[there[0]]
     delimiter = max(",;\t", key=line.count)
     names = tuple(_cells(line, delimiter))
@@ -365,18 +369,18 @@ def _notes(header: Header, delimiter: str, reading: Reading) -> tuple[str, ...]:
     line = header.header
     if line is None:
         notes.append(
-            f"it has no header, so its columns are called {header.names[0]} to {header.names[-1]}"
+            f"it has no header, so its columns are named {header.names[0]} to {header.names[-1]}"
         )
     elif line and reading.skip_rows is None:
         notes.append(
-            f"its header is row {line + 1}; the rows above do not belong to the table (skip_rows "
-            f"= {line})"
+            f"its header is in row {line + 1}; the rows above it do not belong to the table "
+            f"(skip_rows = {line})"
         )
     if header.units:
         shown = ", ".join(f"{header.names[i]} {unit}" for i, unit in [*header.units.items()][:6])
-        notes.append(f"the row below its header has units: {shown}")
+        notes.append(f"the row below its header gives units: {shown}")
     if delimiter == " ":
-        notes.append("blanks separate its cells")
+        notes.append("its cells are separated by blanks")
     return tuple(notes)
 
 
@@ -448,13 +452,13 @@ def _explain(path: Path, layout: _Layout) -> None:
         count += 1
         if len(cells) != layout.width:
             raise DataError(
-                f"must have as many cells in each row as in its header, {layout.width}, but row "
-                f"{number} has {len(cells)}; correct that row, or say with skip_rows how many "
-                "lines are above the header"
+                f"must have {layout.width} cells in each row, as many as in its header, but row "
+                f"{number} has {len(cells)}; correct that row, or set skip_rows to the number of "
+                "lines above the header"
             )
     if not count:
         raise DataError(
-            "must have a header and rows of numbers but has only a header; check the file"
+            "must have a header and rows of numbers, but has only a header; check the file"
         )
 
 

@@ -74,7 +74,7 @@ def end_of_table(
         return None
     parts = [f"{lines} line{'s' if lines > 1 else ''}"] if lines else []
     parts += ["zeros"] if zeros else []
-    said = f"lines below its table are left out: {' and '.join(parts)}"
+    said = f"lines below its table are ignored: {' and '.join(parts)}"
     return EndOfTable(size - len(tail) + end, said)
 
 

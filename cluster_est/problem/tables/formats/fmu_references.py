@@ -66,15 +66,13 @@ class FmuReferences(TableFormat):
         found = {each.name: each for each in reference_experiments(path)}
         if not found:
             raise DataError(
-                f"must have reference results ({MANIFEST}, with a file of the role experiment) but "
-                "has none; name a table instead"
+                f"must have reference results ({MANIFEST} and a file with the role experiment), "
+                "but has none; name a table instead"
             )
         names = ", ".join(map(repr, found))
         if not reading.sheet and len(found) > 1:
             first = inline(next(iter(found)))
-            raise DataError(
-                f"must say which experiment is meant, of {names}, but does not; add sheet = {first}"
-            )
+            raise DataError(f"has several experiments: {names}; choose one, as in sheet = {first}")
         if reading.sheet and reading.sheet not in found:
             hint = nearest(reading.sheet, [*found])
             raise DataError(f"has no experiment {reading.sheet!r}{hint}")
@@ -93,7 +91,9 @@ def reference_experiments(path: Path) -> tuple[ReferenceExperiment, ...]:
         with zipfile.ZipFile(path) as archive:
             return tuple(_experiments(archive))
     except (zipfile.BadZipFile, ElementTree.ParseError, KeyError) as error:
-        raise DataError(f"must be an FMU but cannot be read as one ({error}); check it") from error
+        raise DataError(
+            f"must be an FMU, but cannot be read as one ({error}); check the file"
+        ) from error
 
 
 def _experiments(archive: zipfile.ZipFile) -> Iterator[ReferenceExperiment]:
@@ -123,10 +123,10 @@ def _experiments(archive: zipfile.ZipFile) -> Iterator[ReferenceExperiment]:
 
 def _tree(archive: zipfile.ZipFile, name: str) -> ElementTree.Element:
     if archive.getinfo(name).file_size > MOST_BYTES:
-        raise DataError(f"must have a small file {name} but it is too large; check it")
+        raise DataError(f"must have a small file {name}, but {name} is too large; check the FMU")
     content = archive.read(name)
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise DataError(f"must have no document type in {name} but has one; remove it")
+        raise DataError(f"must have no document type declaration in {name}, but has one; remove it")
     return ElementTree.fromstring(content)
 
 
@@ -142,7 +142,7 @@ def _inside(source: str, beside: str, names: set[str]) -> str:
         if found in names:
             return found
     raise DataError(
-        f"must have the file {source}, which {beside} names, but has none; check the FMU"
+        f"must have the file {source}, which {beside} names, but does not; check the FMU"
     )
 
 
@@ -150,7 +150,9 @@ def _seconds(text: str | None) -> float | None:
     try:
         return None if text is None else float(text)
     except ValueError:
-        raise DataError(f"must have numbers as startTime and stopTime but has {text!r}") from None
+        raise DataError(
+            f"must have numbers as startTime and stopTime, but has {text!r}; correct them"
+        ) from None
 
 
 def _read(path: Path, experiment: ReferenceExperiment) -> MeasuredTable:
@@ -181,10 +183,12 @@ def _read(path: Path, experiment: ReferenceExperiment) -> MeasuredTable:
 
 def _table(path: Path, file: str) -> MeasuredTable:
     if not file.lower().endswith(DelimitedText.endings):
-        raise DataError(f"must have references as CSV but has {file}; convert it")
+        raise DataError(f"must have reference results as CSV, but has {file}; convert it")
     with zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
         if archive.getinfo(file).file_size > MOST_BYTES:
-            raise DataError(f"must have references of at most 2 GB but {file} is larger")
+            raise DataError(
+                f"must have reference results of at most 2 GB, but {file} is larger; shorten it"
+            )
         copy = Path(folder) / "table.csv"
         copy.write_bytes(archive.read(file))
         return DelimitedText().read(copy, Reading())

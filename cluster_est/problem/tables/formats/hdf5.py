@@ -69,7 +69,7 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
         if not isinstance(node, h5py.Dataset):
             return
         if matlab and kind not in NUMERIC_CLASSES:
-            unusable[name] = f"must be a vector of numbers but is {_called(name, kind)}"
+            unusable[name] = f"must be a vector of numbers, but is {_called(name, kind)}"
             return
         values = np.asarray(node[()])
         if matlab:
@@ -87,7 +87,7 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
     with h5py.File(path, "r") as opened:
         opened.visititems(take)
     if not columns and not unusable:
-        raise DataError("must have datasets but has none; check the file")
+        raise DataError("must have data sets, but has none; check the file")
     clocks = clocks_in(columns, ".") | ({} if matlab else clocks_in(columns, "/"))
     return MeasuredTable(path, columns, unusable, units=units, clocks=clocks)
 
@@ -111,7 +111,7 @@ def _scaled(values: Any, attributes: Any) -> Any:
 
 def _called(name: str, kind: str) -> str:
     """Return what MATLAB calls a class, and what can be done."""
-    usual = {"char": "text", "cell": "a cell array", "": "of no class of MATLAB"}
+    usual = {"char": "text", "cell": "a cell array", "": "not of a MATLAB class"}
     return usual[kind] if kind in usual else object_of_matlab(name, kind)
 
 

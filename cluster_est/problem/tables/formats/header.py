@@ -114,9 +114,9 @@ def refuse_several(header: Header) -> None:
     """
     if header.rival is not None:
         raise DataError(
-            f"must have one table but has several, with headers in rows {header.rival + 1} and "
-            f"{(header.header or 0) + 1}; say which with skip_rows = {header.rival} or "
-            f"skip_rows = {header.header}, or save each in a file of its own"
+            f"must have one table, but has several, with headers in rows {header.rival + 1} and "
+            f"{(header.header or 0) + 1}; choose one with skip_rows = {header.rival} or skip_rows "
+            f"= {header.header}, or save each table in a file of its own"
         )
 
 

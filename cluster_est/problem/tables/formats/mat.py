@@ -43,12 +43,14 @@ class Mat(TableFormat):
             raise
         except Exception as error:  # SciPy meets a damaged file with exceptions of every kind
             raise DataError(
-                f"must be a MAT file but cannot be read as one ({type(error).__name__}: {error}); "
+                f"must be a MAT file, but cannot be read as one ({type(error).__name__}: {error}); "
                 "save it again"
             ) from error
         columns: dict[str, Column] = {}
         others = {} if found is None else found.others
-        unusable = {name: f"must be a vector of numbers but is {it}" for name, it in others.items()}
+        unusable = {
+            name: f"must be a vector of numbers, but is {it}" for name, it in others.items()
+        }
         for name, values in variables.items():
             if name.startswith("__") and not isinstance(values, np.ndarray):
                 continue

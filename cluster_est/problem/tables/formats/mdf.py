@@ -36,8 +36,8 @@ class Mdf(TableFormat):
             raise
         except Exception as error:  # of whatever kind asammdf raises
             raise DataError(
-                f"must be an MDF file but cannot be read as one ({type(error).__name__}: {error}); "
-                "check that it is complete, or save it again"
+                f"must be an MDF file, but cannot be read as one ({type(error).__name__}: "
+                f"{error}); check that it is complete, or save it again"
             ) from error
         counts = Counter(signal.name for _, signal in signals)
         clocks = Clocks()

@@ -65,6 +65,6 @@ def library(module: str, package: str, ending: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise DataError(
-            f"must be read with {package}, because it is a {ending} file, but that is missing; "
-            'install it with: pip install "cluster-est[files]"'
+            f"is a {ending} file, which needs {package}, but {package} is missing; install it "
+            'with: pip install "cluster-est[files]"'
         ) from None

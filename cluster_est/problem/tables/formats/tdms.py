@@ -34,12 +34,12 @@ class Tdms(TableFormat):
             raise
         except Exception as error:  # of whatever kind npTDMS raises
             raise DataError(
-                f"must be a TDMS file but cannot be read as one ({type(error).__name__}: {error}); "
-                "check that it is complete, or save it again"
+                f"must be a TDMS file, but cannot be read as one ({type(error).__name__}: "
+                f"{error}); check that it is complete, or save it again"
             ) from error
         groups = opened.groups()
         if not any(group.channels() for group in groups):
-            raise DataError("must be a TDMS file with channels but has none; check it")
+            raise DataError("must be a TDMS file with channels, but has none; check the file")
         first = _first_start(groups)
         columns: dict[str, Column] = {}
         unusable: dict[str, str] = {}

@@ -44,7 +44,7 @@ class Workbook(TableFormat):
             raise
         except Exception as error:  # of whatever kind openpyxl raises
             raise DataError(
-                f"must be a workbook but cannot be read as one ({type(error).__name__}: {error}); "
+                f"must be a workbook, but cannot be read as one ({type(error).__name__}: {error}); "
                 "save it again"
             ) from error
         try:
@@ -57,7 +57,7 @@ class Workbook(TableFormat):
             notes.append(f"sheet {inline(sheet)} is read")
             found |= {} if reading.sheet else {"sheet": sheet}
         if header.header and reading.skip_rows is None:
-            notes.append(f"its header is row {header.header + 1} (skip_rows = {header.header})")
+            notes.append(f"its header is in row {header.header + 1} (skip_rows = {header.header})")
             found["skip_rows"] = header.header
         return replace(_table(path, rows, header), notes=tuple(notes), found=found)
 
@@ -93,7 +93,7 @@ def _chosen(opened: Any, reading: Reading) -> tuple[str, list[Sequence[Any]], He
         if reading.sheet not in names:
             listed = ", ".join(map(repr, names))
             raise DataError(
-                f"must have the sheet {reading.sheet!r} but has {listed}; choose one of these"
+                f"must have the sheet {reading.sheet!r}, but has {listed}; choose one of these"
             )
         names = [reading.sheet]
     found = []
@@ -104,14 +104,14 @@ def _chosen(opened: Any, reading: Reading) -> tuple[str, list[Sequence[Any]], He
             found.append((name, rows, header))
     if not found:
         raise DataError(
-            "must have a header and rows of numbers in a sheet but has neither; check the file, "
-            "or name the sheet with sheet"
+            "must have a sheet with a header and rows of numbers, but has none; check the file, or "
+            "name the sheet with the key sheet"
         )
     if len(found) > 1:
         listed = ", ".join(repr(name) for name, _, _ in found)
         raise DataError(
-            f"must say which sheet is meant, because {listed} have tables, but does not; add "
-            f"sheet = {inline(found[0][0])}"
+            f"has several sheets with tables: {listed}; choose one, as in sheet = "
+            f"{inline(found[0][0])}"
         )
     return found[0]
 

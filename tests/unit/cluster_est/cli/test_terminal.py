@@ -91,11 +91,11 @@ def test_more_workers_are_proposed_once_where_they_would_help():
         ]
 
     (sentence,) = said(1, 30, 8)
-    assert "1 of this machine's 8 cores simulates while 30 simulations wait" in sentence
-    assert "executor.workers=8 would be faster" in sentence
+    assert "1 of this machine's 8 cores simulates, while 30 simulations wait" in sentence
+    assert "faster with executor.workers=8" in sentence
     (sentence,) = said(1, 30, 8, 3)
     assert "1 of this machine's 8 cores simulates" in sentence
-    assert "executor.workers=3 would be faster" in sentence
+    assert "faster with executor.workers=3" in sentence
     assert said(3, 30, 8, 3) == [], "no more than executor.instances are started"
     assert said(8, 30, 8) == said(4, 3, 8) == []
 

@@ -92,15 +92,15 @@ def test_words_and_sentence_stand_for_the_equation(printed, page):
 
 def test_effects_and_leads_say_how_often_such_were_right(printed, page):
     sure = (
-        "right in place and kind with 92 %: of 54 claims like this in the benchmark, 51 were right"
+        "place and kind are right with a probability of 92 %: of 54 similar claims, 51 were right"
     )
-    lead = "a lead, and no claim: of 75 such leads in the benchmark, 12 were right"
+    lead = "this is a lead, not a claim: of 75 leads in the benchmark, 12 were right"
     found = LOOP | {"effects": [EFFECT | {"claim": {"sentence": sure}}]}
     assert f"  {sure}" in printed(found)
-    assert f"R{sure[1:]}." in page(found)
+    assert f"P{sure[1:]}." in page(found)
     unexplained = {"verdict": "unexplained", "rejected": [EFFECT | {"claim": {"sentence": lead}}]}
     assert f"der(v) += k * v^2; {lead}" in printed(LOOP | unexplained)
-    assert f"A{lead[1:]}." in page(LOOP | unexplained)
+    assert f"T{lead[1:]}." in page(LOOP | unexplained)
 
 
 @pytest.mark.parametrize(
@@ -219,10 +219,14 @@ def errors(before, after):
         (LOOP, errors(1.5, 1.2), "The error fell from 1.50 to 1.20 times"),
         (LOOP, errors(1.2, 1.5), "The error rose from 1.20 to 1.50 times"),
         (LOOP, errors(nan, 1.5), "The error is 1.50 times"),
-        (LOOP | {"cost": 4.0}, [ERROR], "was 4.000 with the declared model, fitted, and is 4.000."),
+        (
+            LOOP | {"cost": 4.0},
+            [ERROR],
+            "was 4.000 after the fit of the declared model and is 4.000.",
+        ),
         (FIT | {"cost": 4.0}, [ERROR], "The cost was 4.000 at the start values and is 4.000."),
-        (LOOP | {"cost": 2.0}, [ERROR], "fitted, and is 2.000: a factor of 2.00 lower."),
-        (LOOP | {"cost": 8.0}, [ERROR], "fitted, and is 8.000: a factor of 2.00 higher."),
+        (LOOP | {"cost": 2.0}, [ERROR], "declared model and is 2.000: a factor of 2.00 lower."),
+        (LOOP | {"cost": 8.0}, [ERROR], "declared model and is 8.000: a factor of 2.00 higher."),
     ],
 )
 def test_what_stays_has_not_fallen(page, facts, errors, said):

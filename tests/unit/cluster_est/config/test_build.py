@@ -57,7 +57,9 @@ def test_an_interface_that_cannot_be_used_is_said_to_be_left_out(tmp_path):
     twice = '<Unknown index="8" />\n      <Unknown index="9" />\n    </Derivatives>'
     (tmp_path / "x.fmu").write_bytes(spoiled_fmu(xml={twice: twice.replace("9", "8")}))
     assert build(tmp_path, {"model.fmu": "x.fmu"}).model.interface == "co_simulation"
-    with pytest.raises(ClusterEstError, match=r"derivative of one state twice.*left out.*choose"):
+    with pytest.raises(
+        ClusterEstError, match=r"derivative of a state twice.*left out.*set model.interface"
+    ):
         build(tmp_path, {"model.fmu": "x.fmu", "model.interface": "model_exchange"})
 
 

@@ -126,14 +126,14 @@ def test_the_run_is_that_of_a_config_without_them(tmp_path):
         (
             ONE,
             DEFAULTS.replace("v = 0.01", "vv = 0.01"),
-            "experiment_defaults.sigma.vv: .*output of some experiment.*'v'",
+            "experiment_defaults.sigma.vv: .*output of at least one experiment.*'v'",
         ),
         (
             ONE,
             DEFAULTS.replace("{ speed =", "{ sped ="),
-            "experiment_defaults.columns.sped: .*column that some experiment uses.*'speed'",
+            "experiment_defaults.columns.sped: .*column that at least one experiment uses.*'speed'",
         ),
-        (ONE + "sigma.w = 1.0\n", DEFAULTS, r"experiments\['a'\].sigma.w: .*named as one of"),
+        (ONE + "sigma.w = 1.0\n", DEFAULTS, r"experiments\['a'\].sigma.w: .*one of the outputs"),
         (ONE + "inputs = 3\n", DEFAULTS, r"experiments\['a'\].inputs: .*a table.*3"),
         (ONE + "inputs.u = { weight = 1 }\n", DEFAULTS, "inputs.u.column is missing"),
         (ONE + "columns = 3\n", DEFAULTS, r"experiments\['a'\].columns: .*a table.*3"),

@@ -103,7 +103,7 @@ def test_the_reference_is_a_config_that_works():
 WRONG = [
     (Multistart, {"n": 0}), (Multistart, {"sampler": "x"}), (Multistart, {"points": [{"k": "a"}]}),
     (UncertaintySettings, {"confidence": 1.5}), (UncertaintySettings, {"profiles": 3}),
-    (LoopSettings, {"trials": 0}), (LoopSettings, {"sites": ["derv"]}), (LoopSettings, {"bem": 1}),
+    (LoopSettings, {"trials": 0}), (LoopSettings, {"sites": ["derv"]}), (LoopSettings, {"dras": 1}),
     (SensitivitySettings, {"groups": 1}), (SensitivitySettings, {"method": "mooris"}),
     (Budget, {"seconds": -1.0, "evaluations": 0.5}), (LogSettings, {"max_megabytes": "1"}),
     (Shooting, {}), (Shooting, {"segments": 1}),
@@ -125,11 +125,13 @@ def test_python_and_a_config_refuse_with_the_same_sentence(settings, given):
 def test_settings_take_each_key_once_and_another_name_of_it_in_python_alone():
     for given, named in (((1, 2.0, 3), {}), ((1,), {"evaluations": 2})):
         with pytest.raises(
-            ProblemError, match="budget: each of evaluations, seconds must be given once"
+            ProblemError, match="budget: each of evaluations, seconds must be given at most once"
         ):
             Budget(*given, **named)
     assert LoopSettings(forms=["bias"]).changed(forms=["lag"]) == LoopSettings(effects=["lag"])
-    with pytest.raises(ProblemError, match=r"closed_loop.effects: must be a list but is 3 \(forms"):
+    with pytest.raises(
+        ProblemError, match=r"closed_loop.effects: must be a list, but is 3 \(forms"
+    ):
         LoopSettings(forms=3)
     keys = tree(everything=False)
     keys["closed_loop"] = {"forms": ["bias"]}

@@ -75,7 +75,7 @@ def test_two_configs_may_have_files_of_one_name(function):
 @pytest.mark.parametrize("text", ["mine:cost", "math:fsum", "no_such_module:cost"])
 def test_nothing_runs_where_code_is_not_allowed(tmp_path, function, text):
     source = f"open({str(tmp_path / 'ran')!r}, 'w').close()\n{SOURCE}"
-    pattern = f"cost.function: '{text}' is Python code.*if you trust.*add --allow-code"
+    pattern = f"cost.function: '{text}' names Python code.*if you trust.*add --allow-code"
     refused(function, text, source, pattern=pattern, allow=False)
     assert not (tmp_path / "ran").exists()
 
@@ -86,7 +86,7 @@ def test_nothing_runs_where_code_is_not_allowed(tmp_path, function, text):
      "../mine:cost", "mine:cost ", "mine:cost\n", "/etc/x:y", "mine::cost", "mine:a:b"],
 )  # fmt: skip
 def test_it_is_written_as_module_and_name(function, text):
-    refused(function, text, pattern='must be "module:name" but is')
+    refused(function, text, pattern='must be "module:name", but is')
 
 
 @pytest.mark.parametrize(
@@ -97,8 +97,8 @@ def test_it_is_written_as_module_and_name(function, text):
         ("mine:cost", "import sys\nsys.exit(0)\n", "mine:cost: .*SystemExit"),
         ("mine:cost", "import no_such_module\n", "mine:cost: .*No module named 'no_such_module'"),
         ("mine:cost", "def other(run):\n    return 1\n", "mine:cost: .*AttributeError.*cost"),
-        ("mine:cost", "cost = 3.0\n", "mine:cost: must be a function but is a float"),
-        ("mine:cost", b"\xff\xfe\x00", "cost.function: .*mine.py cannot be read.*correct it"),
+        ("mine:cost", "cost = 3.0\n", "mine:cost: must be a function, but is a float"),
+        ("mine:cost", b"\xff\xfe\x00", "cost.function: .*mine.py cannot be read.*correct the path"),
         ("no_such_module:cost", "", "no_such_module:cost: must be a function that can"),
         ("math:no_such", "", "math:no_such: must be a function that can"),
         ("os.no_such:cost", "", "os.no_such:cost: must be a function that can"),

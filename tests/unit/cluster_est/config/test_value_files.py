@@ -61,13 +61,13 @@ def test_a_known_value_of_the_config_wins(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "pattern"),
     [
-        ("set.csv", "name,value,unit\nm,1750,g\n", "m must be in 'kg'.* but is in 'g'"),
-        ("set.csv", "nam,value\nm,1\n", "columns name and value but has nam, value"),
+        ("set.csv", "name,value,unit\nm,1750,g\n", "m must be in 'kg'.*, but is in 'g'"),
+        ("set.csv", "nam,value\nm,1\n", "columns name and value, but has nam, value"),
         ("set.csv", "name;value\nm;1,5\n", "set.csv: m must be a number, because"),
         ("set.csv", "name,value\nzz,1\n", "'zz'"),
-        ("set.csv", "name,value\nm,-5\n", "parameters.m.start: must lie in its bounds"),
-        ("a.ssv", "<a/>", "a.ssv must be a parameter set of SSP 1.0 but is not"),
-        ("a.ssv", SSV.format("<b/>"), "a.ssv must be a parameter set of SSP 1.0 but is not"),
+        ("set.csv", "name,value\nm,-5\n", "parameters.m.start: must lie within the bounds"),
+        ("a.ssv", "<a/>", "a.ssv must be a parameter set of SSP 1.0, but is not"),
+        ("a.ssv", SSV.format("<b/>"), "a.ssv must be a parameter set of SSP 1.0, but is not"),
         ("a.txt", "m 1", "a.txt must end in .ssv or .csv"),
     ],
 )
@@ -89,7 +89,7 @@ def test_a_list_of_files_that_is_wrong(tmp_path, listed, pattern):
 
 
 def test_a_config_in_memory_has_no_folder():
-    with pytest.raises(ConfigError, match="is only for a config file"):
+    with pytest.raises(ConfigError, match="is only possible in a config file"):
         parse_config({"value_files": ["a.ssv"]}, "here")
 
 

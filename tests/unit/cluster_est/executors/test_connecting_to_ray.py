@@ -124,10 +124,13 @@ OWN = {"ray_version": ray.__version__, "python_version": platform.python_version
     [
         ({"failed": "AuthenticationError", "why": ""}, "needs its token"),
         ({"failed": "RpcError", "why": ""}, "does not answer like the head of a Ray cluster"),
-        ({"is": OWN | {"ray_version": "1.0.0"}}, "has Ray 1.0.0.*install ray==1.0.0 here"),
+        (
+            {"is": OWN | {"ray_version": "1.0.0"}},
+            "has Ray 1.0.0.*install ray==1.0.0 on this machine",
+        ),
         ({"is": OWN | {"python_version": "3.1.4"}}, "runs Python 3.1.4.*the same Python"),
         ({"is": OWN}, ""),
-        ({"is": OWN, "nodes": {}}, "answers, but no node of it is alive"),
+        ({"is": OWN, "nodes": {}}, "answers, but none of its nodes is alive"),
         ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7"}}, "nodes are 10.0.0.7, but is not; run"),
         ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7", "/": "10.0.0.8"}}, ""),
         ({"is": OWN, "nodes": {"tcp://1.2.3.4:5": "10.0.0.7"}}, ""),

@@ -45,9 +45,12 @@ def test_a_prior_goes_with_what_is_fixed(problem):
         (lambda p: p.fix("K"), "parameters: there is no 'K'"),
         (lambda p: p.free("R"), "parameters: there is no 'R'"),
         (lambda p: p.with_values({"x0[e0]": 1.0}), r"parameters: there is no 'x0\[e0\]'"),
-        (lambda p: p.with_values({"m": 100.0}), r"parameters.m.start: must lie in its bounds"),
-        (lambda p: p.with_values([1.0]), 'with_values: must be.*write {"k": 25.0}'),
-        (lambda p: p.free("k", bounds=(1.0, 2.0)), "parameters.k.start: must lie in its bounds"),
+        (lambda p: p.with_values({"m": 100.0}), r"parameters.m.start: must lie within the bounds"),
+        (lambda p: p.with_values([1.0]), 'with_values: must be.*such as {"k": 25.0}'),
+        (
+            lambda p: p.free("k", bounds=(1.0, 2.0)),
+            "parameters.k.start: must lie within the bounds",
+        ),
     ],
 )
 def test_a_wrong_name_or_value_is_met_with_a_sentence(problem, change, said):
@@ -111,7 +114,7 @@ def test_a_function_that_fails_is_named(problem):
 def test_what_cannot_leave_the_process_is_refused(problem):
     lock = threading.Lock()
     with pytest.raises(
-        DataError, match=r"'e0'.cost_function: .*contains an object.*lock.*create it"
+        DataError, match=r"'e0'.cost_function: .*contains an object.*lock.*create that object"
     ):
         replace(problem.experiments[0], cost_function=lambda run: lock)
     with pytest.raises(DataError, match=r"cost_function: must be a UserFunction.*3"):

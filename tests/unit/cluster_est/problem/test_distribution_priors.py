@@ -61,8 +61,8 @@ def test_a_density_of_zero_has_a_finite_residual():
     ("distribution", "bounds", "said"),
     [
         (st.uniform(0.0, 1.0), (0.0, 1.0), r"one smooth mode.*uniform.*bounds=\(0.1, 10.0\)"),
-        (st.expon(), (0.0, 1.0), r"one smooth mode inside but expon\(\) has none"),
-        (st.laplace(0.5, 0.1), (0.0, 1.0), r"one smooth mode inside but laplace\(0.5, 0.1\)"),
+        (st.expon(), (0.0, 1.0), r"one smooth mode .*, but expon\(\) has no such mode"),
+        (st.laplace(0.5, 0.1), (0.0, 1.0), r"one smooth mode .*, but laplace\(0.5, 0.1\)"),
         (st.poisson(3), (0.0, 9.0), "must be a continuous distribution"),
         (st.gamma(3.0), (-1.0, 9.0), r"k.bounds: must lie where.*from 0 to inf.*\[-1, 9\]"),
         (st.gamma(3.0), (4.0, 9.0), r"k.prior: must have its centre within the bounds"),

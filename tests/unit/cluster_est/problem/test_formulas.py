@@ -108,14 +108,14 @@ def test_it_travels_as_text():
     assert again.values(COLUMNS, 3).tobytes() == formula.values(COLUMNS, 3).tobytes()
 
 
-MADE_OF = "made of numbers"
+MADE_OF = "consist of numbers"
 
 
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [
-        ("", "an equation but '' is not"),
-        ("a +", r"an equation but 'a \+' is not \(invalid syntax\)"),
+        ("", "an equation, but '' is not"),
+        ("a +", r"an equation, but 'a \+' is not \(invalid syntax\)"),
         ("aa", "unknown variable 'aa'.*'a'"),
         ("motor.j", "unknown variable 'motor.j'.*'motor.k'"),
         ("a.__class__", "unknown variable 'a.__class__'"),
@@ -126,11 +126,11 @@ MADE_OF = "made of numbers"
         ("1j * a", MADE_OF),
         ("a and b", MADE_OF),
         ("exp(*a)", MADE_OF),
-        ("a > b", "a number for any values of the parameters but 'a > b' is true or false"),
+        ("a > b", "a number for all values of the parameters, but 'a > b' is true or false"),
         ("a * (b > 1)", "not compute with a comparison"),
         ("-(a > 1)", "not compute with a comparison"),
-        ("min(a > 1, 2)", r"min\(...\) cannot be used so"),
-        ("where(a, 1)", r"where\(...\) cannot be used so"),
+        ("min(a > 1, 2)", r"min\(...\) cannot be used in this way"),
+        ("where(a, 1)", r"where\(...\) cannot be used in this way"),
         ("a / 0", "a finite value"),
         ("where(a > 2, a, b / 0)", "a finite value"),
         ("sqrt(-1) * a", "a finite value"),
@@ -138,7 +138,7 @@ MADE_OF = "made of numbers"
         ("10^400 * a", "a finite value"),
         ("9^9^9^9 * a", "an exponent must be at most 1000"),
         ("a^(9^9^9)", "an exponent must be at most 1000"),
-        ("a" * 3000, "at most 2000 characters but is 3000"),
+        ("a" * 3000, "at most 2000 characters, but has 3000"),
         ("(" * 300 + "a" + ")" * 300, "an equation"),
     ],
 )
@@ -196,18 +196,18 @@ def test_a_constraint_is_left_minus_right(text, sides, by_hand, name):
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [
-        ("a", "two formulas with <=, >= or = between them but is 'a'"),
+        ("a", "two formulas with <=, >= or = between them, but is 'a'"),
         ("", "two formulas"),
         ("a => b", "two formulas"),
         ("a <= b <= 1 <= 2", "two formulas"),
         ("(a <= b)", "two formulas"),
-        ("a != b", "an equation but 'a !' is not"),
-        ("a) + (b <= 1", r"an equation but 'a\) \+ \(b' is not"),
+        ("a != b", "an equation, but 'a !' is not"),
+        ("a) + (b <= 1", r"an equation, but 'a\) \+ \(b' is not"),
         ("a <= b # or not", "an equation"),
         ("a <= c", "unknown variable 'c'"),
-        ("1 <= 2", "name a parameter but '1 <= 2' names none"),
+        ("1 <= 2", "name a parameter, but '1 <= 2' names none"),
         ("a - a <= 1", "name a parameter"),
-        ("a <= 1/0", "a finite value but '1/0' has none"),
+        ("a <= 1/0", "a finite value, but '1/0' has none"),
     ],
 )
 def test_no_other_text_is_a_constraint(text, pattern):

@@ -107,8 +107,8 @@ def test_an_output_may_have_nothing_in_a_window():
 @pytest.mark.parametrize(
     ("windows", "said"),
     [
-        ([(5.0, 6.0)], "must leave at least one measured value within them"),
-        ([(0.0, 3.0)], "must leave at least one measured value outside of them"),
+        ([(5.0, 6.0)], "must leave at least one measured value within the windows"),
+        ([(0.0, 3.0)], "must leave at least one measured value outside the windows"),
         ([(2.0, 1.0)], "with from before to, but is"),
         ([(float("nan"), 1.0)], "with from before to, but is"),
         ([], "must be a list of"),
@@ -123,5 +123,5 @@ def test_windows_that_are_refused(windows, said):
 
 
 def test_what_is_held_out_already_is_refused():
-    with pytest.raises(DataError, match='its role is "test"'):
+    with pytest.raises(DataError, match='the role of this experiment is "test"'):
         replace(two_outputs(), role="test").hold_out(END)

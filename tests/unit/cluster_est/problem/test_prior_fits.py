@@ -150,7 +150,7 @@ def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
 
 def test_a_front_of_several_outputs_is_refused():
     space = Curves(line, PRIORS, TIMES, measured(2)).space()
-    with pytest.raises(ProblemError, match="a prior belongs to none of them"):
+    with pytest.raises(ProblemError, match="a prior belongs to neither"):
         SEARCH_METHODS["nsga2"]().check(space)
 
 
@@ -163,7 +163,7 @@ def test_what_a_prior_cannot_be_weighed_against_is_refused():
     bootstrap = UncertaintySettings(bootstrap=10)
     for study, pattern in (
         (Fit(replace(whole, cost=COSTS["huber"]())), 'a.prior: .*the cost "sse".*huber'),
-        (Fit(problem), "experiment 'e0': sigma.y0 is missing; the prior"),
+        (Fit(problem), "experiment 'e0': sigma.y0 is missing, but the prior"),
         (Fit(replace(problem, experiments=runs)), "experiment 'e1': sigma.y0 is missing"),
         (Fit(whole, uncertainty=bootstrap), "uncertainty.bootstrap: must be 0 with priors"),
     ):

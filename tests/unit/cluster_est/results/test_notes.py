@@ -47,13 +47,14 @@ def noted(result):
     ("output", "said", "not_said"),
     [
         (MISSING,
-         "y: error is 3 x sigma.*autocorrelated at lag 1 with 0.9.*intervals are too narrow, "
-         "something is missing.*close-loop CONFIG --out FOLDER.*close_loop.problem", "coloured"),
+         "y: error is 3 x sigma.*autocorrelated at lag 1 with 0.9.*something is missing from the "
+         "model, so these intervals are too narrow.*close-loop CONFIG --out FOLDER.*"
+         "close_loop.problem", "coloured"),
         (RELATED,
-         "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured, which the "
-         "intervals include, or something small is missing", "from the model"),
+         "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured .the "
+         "intervals allow for that., or something small is missing", "from the model"),
         (replace(RELATED, declared=False, rms_over_sigma=0.06, noise_over_sigma=0.02),
-         "error is 3 x its noise.*0.02; no sigma is declared.*or the sensor's noise is coloured",
+         "error is 3 x its noise.*0.02; no sigma is declared.*or the sensor noise is coloured",
          "x sigma"),
         (replace(RELATED, lag1=0.02, length=60.0),
          "autocorrelated over about 60 samples .lag 1: 0.02", "at lag 1 with"),
@@ -141,7 +142,7 @@ def said_of(problem, fitted):
     else:
         page = run_checks(problem, ce.Resources(executor="local"), 60.0)
         notes = [f"{found.found}: {found.do}" for found in page.findings]
-    return [note for note in notes if "in another state than the model" in note]
+    return [note for note in notes if "in a different state from the model" in note]
 
 
 @pytest.mark.parametrize(("fitted", "sigma"), [(False, NOISE), (True, NOISE), (True, 1.0)])

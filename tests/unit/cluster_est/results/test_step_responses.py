@@ -37,14 +37,16 @@ def test_a_step_response_is_that_of_the_equations(key):
     [
         (
             (2.0, 0.0, 0.0),
-            "step response with 63 % after 40 s, nearly that of the time constant 40 s",
+            "the step response reaches 63 % after 40 s; a model with the time constant 40 s has "
+            "nearly the same response",
         ),
         (
             (0.0, -3.0, 0.0),
-            "step response with 63 % after 85.9 s, nearly that of the time constants 40 s and 40 s",
+            "the step response reaches 63 % after 85.9 s; a model with the time constants 40 s and "
+            "40 s has nearly the same response",
         ),
-        ((0.0, 0.0, 1.0), "step response with 63 % after 2.17 min"),
-        ((1.0, -2.0, 1.0), "step response that comes back to where it was"),
+        ((0.0, 0.0, 1.0), "the step response reaches 63 % after 2.17 min"),
+        ((1.0, -2.0, 1.0), "the step response returns to its initial value"),
         ((0.0, 0.0, 0.0), ""),
         ((np.nan, 1.0, 1.0), ""),
     ],

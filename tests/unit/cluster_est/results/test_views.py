@@ -136,7 +136,7 @@ def test_where_the_cost_is_no_likelihood_there_are_no_criteria(problem):
     prior = replace(mass, prior=ce.NormalPrior(1.2, 0.1))
     cases = {
         "cost 'huber'": replace(problem, cost="huber"),
-        "priors count": replace(problem, parameters=(prior, *problem.parameters[1:])),
+        "priors add": replace(problem, parameters=(prior, *problem.parameters[1:])),
     }
     for said, each in cases.items():
         found = information_criteria(each, np.ones(240), 5)
@@ -155,7 +155,7 @@ def test_the_right_model_is_the_better_one(result, stiff):
     assert right.aic_weight + wrong.aic_weight == pytest.approx(1.0)
     assert (right.estimated, wrong.estimated) == (5, 4)
     assert right.held_out == result.rmse("test") < wrong.held_out
-    assert any("wrong: its residuals are not white noise" in note for note in found.notes)
+    assert any("wrong: the residuals are not white noise" in note for note in found.notes)
     assert "wrong" in repr(found)
     assert list(found.to_frame()["model"]) == ["right", "wrong"]
     assert ce.compare(stiff, result).best == "2"
@@ -248,7 +248,7 @@ def test_plots_take_axes_and_return_them(result):
     assert profile.get_xlabel() == "k [N/m]"
     assert result.profiles[0].lower in [line.get_xdata()[0] for line in profile.get_lines()]
     for call in (lambda: result.plot("e9"), lambda: result.plot_profile("m")):
-        with pytest.raises(ProblemError, match=r"there is no"):
+        with pytest.raises(ProblemError, match=r"this result has no"):
             call()
     pyplot.close("all")
 

@@ -16,7 +16,7 @@ from cluster_est.run_folder.run_folder import check_free
 from cluster_est.watching.follower import RunFollower
 
 GONE = (
-    "no process of this machine works in its folder any more; if the run was killed, continue "
+    "no process on this machine works in the run folder any more; if the run was killed, continue "
     "it with"
 )
 HOLD = """
@@ -79,7 +79,7 @@ def without_locks(monkeypatch):
 def test_a_lock_keeps_others_out_until_it_is_released(tmp_path):
     with (
         RunLock(tmp_path),
-        pytest.raises(RunFolderError, match=r"running here .process .*; wait for it or end"),
+        pytest.raises(RunFolderError, match=r"running here .process .*; wait for it, or end"),
     ):
         lock(tmp_path)
     with RunLock(tmp_path):
@@ -105,7 +105,7 @@ def test_a_sweep_says_who_it_is_and_leaves_no_name(tmp_path):
     with locked_by_sweep(tmp_path):
         owner = json.loads((tmp_path / SWEEP_OWNER).read_text())
         assert owner == {"pid": os.getpid(), "host": socket.gethostname()}
-        who = f"another sweep is running here .process {os.getpid()} on .*; wait for it or end it"
+        who = f"another sweep is running here .process {os.getpid()} on .*; wait for it, or end it"
         with pytest.raises(RunFolderError, match=who), locked_by_sweep(tmp_path):
             pass
         assert (tmp_path / SWEEP_OWNER).is_file()
@@ -170,4 +170,4 @@ def test_a_run_whose_process_was_killed_is_left_alone_and_who_watches_it_is_told
 def test_the_refusal_of_a_run_that_can_be_taken_up_names_that_first(tmp_path, status):
     with pytest.raises(RunFolderError, match=r"holds a run already.*--out.*--overwrite") as error:
         check_free(run_of(tmp_path, status), overwrite=False)
-    assert ("already; continue it with --resume" in str(error.value)) == (status != "done")
+    assert ("already; continue the run with --resume" in str(error.value)) == (status != "done")

@@ -196,7 +196,11 @@ def test_given_points_are_physical():
     ("point", "phrase"),
     [
         ({"x2": 1.0}, "multistart.points: there is no unknown 'x2'; did you mean"),
-        ({"x1": 6.0}, r"multistart.points: x1 must lie in its bounds \[-5, 5\] but is 6; move it"),
+        (
+            {"x1": 6.0},
+            r"multistart.points: x1 must lie within its bounds \[-5, 5\], but is 6; change the "
+            "point",
+        ),
     ],
 )
 def test_a_given_point_that_is_none_is_refused(point, phrase):

@@ -187,7 +187,7 @@ def test_a_callback_sees_iterations_and_can_end_the_run(problem):
 
 
 def test_what_is_no_function_is_refused(problem):
-    with pytest.raises(ProblemError, match=r"callback: must be a function but is 3"):
+    with pytest.raises(ProblemError, match=r"callback: must be a function, but is 3"):
         ce.fit(problem, callback=3)
     with pytest.raises(ProblemError, match=r"progress: must be true, false or a function.*'bar'"):
         ce.fit(problem, progress="bar")

@@ -205,7 +205,7 @@ def test_a_number_of_residuals_that_changes_is_a_failure(method):
     (solution,) = runner.run([request(method)])
     assert solution.cost >= 2.0 * 0.7**2
     (said,) = {o.message for o in recorded if not o.ok}
-    assert re.search("3 residuals.*2 at the first point", said)
+    assert re.search("3 residuals.*at the first point there were 2", said)
     assert runner.failures == sum(not o.ok for o in recorded)
 
 

@@ -90,7 +90,10 @@ def test_subsets_of_experiments(tmp_path, overrides, kept):
     ("overrides", "phrase"),
     [
         ({"only_experiments": ["a", "bb"]}, "there is no experiment 'bb'; did you mean 'b'?"),
-        ({"drop_experiments": ["a", "b", "c"]}, "must leave some experiment but leaves none"),
+        (
+            {"drop_experiments": ["a", "b", "c"]},
+            "must leave at least one experiment, but leaves none",
+        ),
         ({"parameters.m.stat": 1.0}, "unknown key parameters.m.stat; did you mean 'start'?"),
     ],
 )
@@ -107,21 +110,27 @@ def test_wrong_overrides_are_refused(tmp_path, overrides, phrase):
     [
         ({"axis": []}, "unknown key axis; did you mean 'axes'?"),
         ({"configs": []}, "configs: must have at least one entry"),
-        ({"configs": ["a/x.toml", "b/x.toml"]}, "files of different names"),
+        ({"configs": ["a/x.toml", "b/x.toml"]}, "files with different names"),
         ({"configs": {"a b": "x.toml"}}, "configs.a b: the name must consist of letters"),
         ({"axes": [SEEDS | {"values": [0, 0]}]}, "a list of different plain values"),
         ({"axes": [SEEDS | {"values": [[0]]}]}, "a list of different plain values"),
         ({"axes": [{"name": "seed", "values": [0]}]}, "because its axis has no key"),
-        ({"axes": [SEEDS, SEEDS]}, "axes.seed: the name must be used once"),
-        ({"axes": [SEEDS | {"name": "config"}]}, "axes.config: the name must be used once"),
-        ({"axes": [SEEDS | {"values": [*range(10_001)]}]}, "at most 10000 runs but make 10001"),
+        ({"axes": [SEEDS, SEEDS]}, "axes.seed: the name must be used only once"),
+        ({"axes": [SEEDS | {"name": "config"}]}, "axes.config: the name must be used only once"),
+        ({"axes": [SEEDS | {"values": [*range(10_001)]}]}, "at most 10000 runs, but make 10001"),
         ({"overrides": {"method": {"seed": 1}}}, 'must be in quotes; write "method.seed" = '),
-        ({"overrides": {"only_experiments": "a"}}, "must be a list of experiments' ids"),
-        ({"axes": [SEEDS], "skip": [{"sed": 1}]}, "skip[0].sed: there is no such axis; did you"),
-        ({"axes": [SEEDS], "skip": [{"seed": 7}]}, "skip[0].seed: there is no '7'"),
-        ({"axes": [SEEDS], "skip": [{"seed": [0, 1]}]}, "must leave some run but leaves none"),
+        ({"overrides": {"only_experiments": "a"}}, "must be a list of ids of experiments"),
+        (
+            {"axes": [SEEDS], "skip": [{"sed": 1}]},
+            "skip[0].sed: there is no axis of that name; did you",
+        ),
+        ({"axes": [SEEDS], "skip": [{"seed": 7}]}, "skip[0].seed: the axis has no value '7'"),
+        (
+            {"axes": [SEEDS], "skip": [{"seed": [0, 1]}]},
+            "must leave at least one run, but leaves none",
+        ),
         ({"runs": [{"name": "Config"}]}, "two runs must not have the same name, but config has it"),
-        ({"runs": [{"name": "sweep.json"}]}, "taken by a file of the sweep"),
+        ({"runs": [{"name": "sweep.json"}]}, "a file of the sweep has this name"),
         ({"runs": [{"name": "../x"}]}, "the name must consist of letters"),
         ({"runs": [{"name": "x", "config": "confg"}]}, "no 'confg'; did you mean 'config'?"),
         ({"configs": ["a", "b"], "runs": [{"name": "x"}]}, "because there are several configs"),
@@ -141,7 +150,7 @@ def test_a_missing_or_broken_file_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"sweep\.toml: must be text in UTF-8"):
         read_sweep(tmp_path / "sweep.toml")
     (tmp_path / "sweep.toml").write_bytes(b"configs = [")
-    with pytest.raises(ConfigError, match=r"sweep\.toml: must be TOML but is not"):
+    with pytest.raises(ConfigError, match=r"sweep\.toml: must be TOML, but is not"):
         read_sweep(tmp_path / "sweep.toml")
 
 

@@ -161,13 +161,13 @@ class TestFailures:
         assert 0 < used < 80
         assert result.failures == 80 - used
         assert result.failures == sum(np.isnan(draw.estimates[0]) for draw in result.draws)
-        assert f"{80 - used} of 80 draws have no refit" in result.sentences[0]
+        assert f"{80 - used} of 80 draws are not used" in result.sentences[0]
 
     def test_too_few_usable_draws_give_no_interval(self):
         result = run(levels(), SETTINGS.changed(bootstrap=10))
         assert np.isnan(result.intervals[0].lower)
         assert result.intervals[0].used == 10
-        assert "no interval of level, because fewer than 20 draws" in result.sentences[0]
+        assert "no interval for level, because fewer than 20 draws" in result.sentences[0]
 
     def test_refits_that_stop_early_are_counted(self):
         result = run(levels(), method=LeastSquares(max_iterations=0))
@@ -176,7 +176,9 @@ class TestFailures:
         assert f"refits of {result.unfinished} of 80 draws stopped" in result.sentences[0]
 
     def test_few_experiments_are_refused(self):
-        with pytest.raises(ProblemError, match=r"there are 4; use uncertainty\.profiles"):
+        with pytest.raises(
+            ProblemError, match=r"at least 5 .* but has 4; use uncertainty\.profiles"
+        ):
             run(levels(count=4))
         check_bootstrap(levels(count=5).space())
 

@@ -158,7 +158,9 @@ def test_a_coefficient_that_is_not_given_is_missed():
     own = sp.Symbol("e.at", real=True)
     reading = Assignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
     located = LOCATIONS | {own: (EffectArray.COEFFICIENTS, 1)}
-    with pytest.raises(EffectError, match="number 2 of coefficients"):
+    with pytest.raises(
+        EffectError, match=r"e\.at is entry 2 of coefficients, which has only 1 entr"
+    ):
         assemble(Registers(2, 0, 0, 1), located, after=[reading])
 
 

@@ -71,7 +71,7 @@ REFUSED = {
     "unknown method": (flagged(FMU, 10, 77), METHOD),
     "other method": (flagged(FMU, 10, zipfile.ZIP_LZMA), "cannot be unpacked ("),
     "conflict": (CONFLICT, "cannot be unpacked into"),
-    "no name": (with_member("", b"x"), "every entry in it must have a name but one has none"),
+    "no name": (with_member("", b"x"), "every entry in the FMU must have a name, but one has none"),
     "symbolic link": (LINK, "the path 'link' in it must stay inside"),
 }
 for name in (
@@ -79,7 +79,7 @@ for name in (
     *("..\\evil", "a\\..\\..\\evil", "\\evil"),
 ):
     hostile = spoiled_fmu(lambda entries, name=name: entries.update({name: b"x"}))
-    said = f"the path {name!r} in it must stay inside the FMU's folder but leaves it"
+    said = f"the path {name!r} in it must stay inside the FMU's folder, but leaves it"
     REFUSED[name] = hostile, said
 
 
@@ -94,15 +94,13 @@ def test_a_damaged_or_hostile_archive_is_refused(cache, content, sentence):
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(cache):
     zeros = bytes(archive.HARMLESS_BYTES + 1)
     message = refusal(spoiled_fmu(lambda e: (e.clear(), e.update(zeros=zeros))))
-    assert re.search(
-        r"would unpack to 64 MiB from 0\.\d MiB, which is not usual for an FMU", message
-    )
+    assert re.search(r"would grow from 0\.\d to 64 MiB, which is unusual for an FMU", message)
     assert [*cache.glob("fmus/*")] == []
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(cache, monkeypatch):
     monkeypatch.setattr(archive, "MAX_UNPACKED_BYTES", 1000)
-    assert "which is not usual for an FMU; nothing was unpacked" in refusal(FMU)
+    assert "nothing was unpacked, because it would grow" in refusal(FMU)
 
 
 def replace_by_folder(file):

@@ -35,24 +35,28 @@ def derivatives(*indices: object) -> str:
 @pytest.mark.parametrize(
     ("variables", "sentence", "left"),
     [
-        (real("a", 1, 'causality="odd"'), "attributes causality that FMI does not know", ["a"]),
-        (real("a", 1, 'variability="odd"'), "attributes variability that FMI does not", ["a"]),
-        (real("a", 1, 'initial="odd"'), "attributes initial that FMI does not know", ["a"]),
-        (real("a", 1, value='declaredType="T"'), "types that are declared nowhere are", ["a"]),
+        (real("a", 1, 'causality="odd"'), "attributes causality, which FMI does not know", ["a"]),
+        (real("a", 1, 'variability="odd"'), "attributes variability, which FMI does not", ["a"]),
+        (real("a", 1, 'initial="odd"'), "attributes initial, which FMI does not know", ["a"]),
+        (real("a", 1, value='declaredType="T"'), "types that are not declared anywhere are", ["a"]),
         (real("a", 1, value='start="1,0"'), "attributes start that are not numbers are", ["a"]),
         (real("a", 1, value='min="1_0"'), "attributes min that are not numbers are ignored", ["a"]),
         (
             real("a", 1, value='min="2" max="1"'),
-            "min and max are ignored where min is above max",
+            "min and max are ignored if min is above max",
             ["a"],
         ),
-        (real("a", 1, value='nominal="0"'), "a nominal value that is 0 or no number", ["a"]),
-        (real("a", 1, value='nominal="INF"'), "a nominal value that is 0 or no number", ["a"]),
-        (real("a", 1, value='derivative="7"'), "attributes derivative that name no", ["a"]),
-        (real("a", "x"), "variables without a valueReference of 32 bits are left out", []),
-        (real("a", 2**32), "variables without a valueReference of 32 bits are left out", []),
+        (real("a", 1, value='nominal="0"'), "a nominal value that is 0 or not a number", ["a"]),
+        (real("a", 1, value='nominal="INF"'), "a nominal value that is 0 or not a number", ["a"]),
+        (real("a", 1, value='derivative="7"'), "attributes derivative are ignored", ["a"]),
+        (real("a", "x"), "variables without a valueReference of at most 32 bits are left out", []),
+        (
+            real("a", 2**32),
+            "variables without a valueReference of at most 32 bits are left out",
+            [],
+        ),
         (real("", 1), "variables without a name are left out: 'variable 1'", []),
-        ('<ScalarVariable name="a" valueReference="1"/>', "variables without a type of", []),
+        ('<ScalarVariable name="a" valueReference="1"/>', "variables whose type FMI", []),
         (real("a", 1) + real("a", 2), "a name that occurs twice refers to the first", ["a"]),
     ],
 )
@@ -130,14 +134,18 @@ def test_without_a_structure_derivatives_are_taken_as_they_come():
     found = fmi2(SPRING)
     assert found.states == ("x", "v")
     assert found.warnings == (
-        "x.fmu: it has no <ModelStructure>: states are those that a variable is derivative of",
+        "x.fmu: it has no <ModelStructure>, so its states are the variables of which another "
+        "variable is the derivative",
     )
 
 
 def test_a_derivative_that_names_no_state_is_known_by_its_brackets():
     found = fmi2(real("x", 1) + real("der(x)", 2), derivatives(2))
     assert found.states == ("x",)
-    assert "derivatives that name no state are taken for those in brackets" in found.warnings[0]
+    assert (
+        "derivatives that do not name their state are assigned to the state in their brackets"
+        in found.warnings[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -145,16 +153,18 @@ def test_a_derivative_that_names_no_state_is_known_by_its_brackets():
     [
         (derivatives(8), "state derivative 1 is not a variable"),
         (derivatives(3, "x"), "state derivative 2 is not a variable"),
-        (derivatives(3, 1), "state derivative 'x' does not say of which variable"),
-        (derivatives(3, 3), "lists the derivative of one state twice"),
+        (derivatives(3, 1), "state derivative 'x' does not say which variable"),
+        (derivatives(3, 3), "lists the derivative of a state twice"),
     ],
 )
 def test_states_that_cannot_be_named_leave_co_simulation(structure, why):
     found = fmi2(SPRING, structure)
     assert found.interfaces == ("co_simulation",)
     (warning,) = found.warnings
-    assert re.search(rf"^x.fmu: .*model exchange cannot be used.*{why}.*left out", warning)
-    with pytest.raises(ModelError, match="must describe an interface that can be used, but model"):
+    assert re.search(
+        rf"^x.fmu: .*model exchange interface cannot be used.*{why}.*left out", warning
+    )
+    with pytest.raises(ModelError, match="must describe a usable interface, but model"):
         fmi2(SPRING, structure, interfaces='<ModelExchange modelIdentifier="m"/>')
 
 
@@ -163,9 +173,10 @@ def test_states_that_cannot_be_named_leave_co_simulation(structure, why):
     [
         ({'EventIndicators="0"': 'EventIndicators="x"'}, 1, "number of event indicators is 'x'"),
         ({'<ModelExchange modelIdentifier="mass_spring_damper"': "<ModelExchange"}, 1,
-         "model exchange has None for a plain modelIdentifier, and is left out"),
+         "model exchange interface has the modelIdentifier None, which is not a plain name, and is "
+         "left out"),
         ({'completedIntegratorStepNotNeeded="true"': 'needsExecutionTool="true"'}, 2,
-         "model exchange needs cluster-est build_fmus on this machine"),
+         "model exchange interface needs cluster-est build_fmus on this machine"),
     ],
 )  # fmt: skip
 def test_an_interface_with_a_fault_is_named_and_left_out_if_it_must_be(change, left, said):

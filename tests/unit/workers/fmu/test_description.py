@@ -25,20 +25,29 @@ IDENTIFIER = 'modelIdentifier="mass_spring_damper"'
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (spoiled_fmu(lambda e: e.pop(XML)), "must hold a modelDescription.xml but does not, so it"),
-        (spoiled_fmu(lambda e: e.clear()), "must hold a modelDescription.xml but does not"),
-        (spoiled_fmu(rename("", "model/")), "must hold a modelDescription.xml but does not"),
-        (replaced(b""), "its modelDescription.xml must be XML but cannot be read (no element"),
-        (replaced(b"fmi"), "its modelDescription.xml must be XML but cannot be read (syntax error"),
-        (replaced(b"<a/>"), "must describe a model, as <fmiModelDescription>, but describes <a>"),
-        (replaced(b'<fmiModelDescription fmiVersion="2.0">'), "must be XML but cannot be read"),
-        (replaced(BOMB), "must not declare entities but does, which is not safe to read; remove"),
-        (xml(VERSION, 'fmiVersion="1.0"'), "FMI version 2.0 or 3.0 but is of 1.0; export it as"),
-        (xml(VERSION, 'fmiVersion="x"'), "FMI version 2.0 or 3.0 but is of x; export it as one"),
-        (xml(VERSION, ""), "must be an FMU of FMI version 2.0 or 3.0 but names no version"),
-        (xml(f'guid="{GUID}"', ""), "its modelDescription.xml must have a guid but has none"),
-        (xml(IDENTIFIER, ""), "but co-simulation has None for a plain modelIdentifier; export it"),
-        (xml(IDENTIFIER, 'modelIdentifier="../x"'), "has '../x' for a plain modelIdentifier"),
+        (
+            spoiled_fmu(lambda e: e.pop(XML)),
+            "must contain a modelDescription.xml, but does not, so it",
+        ),
+        (spoiled_fmu(lambda e: e.clear()), "must contain a modelDescription.xml, but does not"),
+        (spoiled_fmu(rename("", "model/")), "must contain a modelDescription.xml, but does not"),
+        (replaced(b""), "its modelDescription.xml must be XML, but cannot be read (no element"),
+        (
+            replaced(b"fmi"),
+            "its modelDescription.xml must be XML, but cannot be read (syntax error",
+        ),
+        (replaced(b"<a/>"), "must describe a model, with <fmiModelDescription>, but describes <a>"),
+        (replaced(b'<fmiModelDescription fmiVersion="2.0">'), "must be XML, but cannot be read"),
+        (replaced(BOMB), "must not declare entities, but does, which is not safe to read; remove"),
+        (xml(VERSION, 'fmiVersion="1.0"'), "FMI version 2.0 or 3.0, but is of 1.0; export it in"),
+        (xml(VERSION, 'fmiVersion="x"'), "FMI version 2.0 or 3.0, but is of x; export it in one"),
+        (xml(VERSION, ""), "must be an FMU of FMI version 2.0 or 3.0, but names no version"),
+        (xml(f'guid="{GUID}"', ""), "its modelDescription.xml must have a guid, but has none"),
+        (
+            xml(IDENTIFIER, ""),
+            "but co-simulation has the modelIdentifier None, which is not a plain name; export it",
+        ),
+        (xml(IDENTIFIER, 'modelIdentifier="../x"'), "has the modelIdentifier '../x'"),
     ],
 )
 def test_a_bad_description_is_refused(content, sentence):
@@ -79,8 +88,8 @@ def test_platforms_are_those_that_have_a_binary():
     ("name", "known", "sentence"),
     [
         ("Mas", ["mass", "k"], "; did you mean 'mass'?"),
-        ("x", [], "; it has none at all"),
-        ("qq", ["a", "b"], "; it has 'a', 'b'"),
+        ("x", [], "; there are none to choose from"),
+        ("qq", ["a", "b"], "; available: 'a', 'b'"),
         ("qq", [f"v{i}" for i in range(20)], "'v11' and 8 more"),
     ],
 )
@@ -111,7 +120,7 @@ def test_definitions_are_read_and_names_alone_are_left_out():
         "bar": UnitDefinition(powers(kg=1, m=-1, s=-2)),
     }
     (warning,) = found.warnings
-    assert warning.endswith("powers that are not integers count only as names: 'V^0.5'")
+    assert warning.endswith("powers that are not integers are used only as names: 'V^0.5'")
     assert fmi2("", "<ModelStructure/>").units == {}
 
 
@@ -142,14 +151,14 @@ def test_both_versions_name_this_machine_in_their_own_words():
         (("binaries/other/m.so",), f"but has one for other; export it for {PLATFORM}"),
         (
             ("binaries/linux32/m.so", "binaries/win32/m.dll"),
-            "but has one for linux32, win32 (linux32 and win32: 32 bits, which a 64-bit program "
-            "cannot load); export it for",
+            "but has one for linux32, win32 (linux32 and win32: built for 32 bits, which a 64-bit "
+            "program cannot load); export it for",
         ),
         (("sources/m.c",), "but has only sources; compile them, for example with the command"),
         (("sources/m.c", "binaries/other/m.so"), ", or compile its sources"),
         (
             (f"binaries/{PLATFORM}/n.so",),
-            f"must have the binary {HERE} but does not; export the FMU again",
+            f"must have the binary {HERE}, but does not; export the FMU again",
         ),
     ],
 )

@@ -125,8 +125,8 @@ def test_a_program_has_the_same_seats_each_time_but_lost_ones_and_leaves_no_fold
         check=True,
     )
     none_left, no_file = done.stdout.splitlines()
-    assert none_left.startswith("executor.instances: 1 are allowed at once, and all of them had")
-    assert "needs files that can be locked in " in no_file
+    assert none_left.startswith("executor.instances: allows 1 instances, but all of them had")
+    assert "needs a folder whose files can be locked, but " in no_file
     assert "; set TMPDIR" in no_file
     assert list(tmp_path.iterdir()) == []
 

@@ -213,7 +213,10 @@ def test_too_much_memory_is_said_to_be_that(open_guard):
     assert set(failed) == expected
     for outcome in failed.values():
         assert outcome.status is Status.OUT_OF_MEMORY
-        assert "MB of memory and was stopped; raise executor.memory" in outcome.message
+        assert (
+            "MB of memory and was stopped; if it needs that much, raise executor.memory"
+            in outcome.message
+        )
 
 
 def test_a_leak_is_bounded_and_changes_no_bit(open_guard):

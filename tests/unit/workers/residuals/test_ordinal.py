@@ -163,7 +163,7 @@ def test_what_is_not_finite_stays_so():
         ({"detection_limit": 0.5}, "ordinal: must not be used with detection_limit"),
         ({"relative_sigma": 0.1}, "ordinal: must not be used with relative_sigma"),
         ({"reference": Output("z", [0.0], [1.0])}, "reference: must be the same output"),
-        ({"reference": "y"}, "reference: must be an Output but is 'y'"),
+        ({"reference": "y"}, "reference: must be an Output, but is 'y'"),
     ],
 )
 def test_what_contradicts_an_order_is_refused(how, said):

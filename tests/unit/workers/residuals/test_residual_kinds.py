@@ -248,11 +248,11 @@ def user(body):
         ("raise ValueError", "ValueError"),
         ("return 'many'", "could not convert string to float"),
         ("return {'a': 1}", "TypeError"),
-        ("return None", "it must return real numbers but returned a NoneType"),
-        ("pass", "it must return real numbers but returned a NoneType"),
-        ("return 1j", "it must return real numbers but returned a complex"),
-        ("return np.fft.fft(run.simulated['y'])", "it must return real numbers but returned"),
-        ("return float('nan')", "it must return finite numbers but returned nan"),
+        ("return None", "it must return real numbers, but returned a NoneType"),
+        ("pass", "it must return real numbers, but returned a NoneType"),
+        ("return 1j", "it must return real numbers, but returned a complex"),
+        ("return np.fft.fft(run.simulated['y'])", "it must return real numbers, but returned"),
+        ("return float('nan')", "it must return finite numbers, but returned nan"),
         ("return [1.0, float('-inf')]", "but returned"),
         ("return []", "but returned none"),
         ("return [[1.0], [1.0, 2.0]]", "ValueError"),
@@ -306,7 +306,7 @@ def test_a_constraint_returns_one_number(body, value):
     assert outcome.constraints.tolist() == [value]
     two = user("return [1.0, 2.0]")
     (outcome,) = ask(replace(EXPERIMENT, constraint_functions=(two,)), POINTS[:1])
-    assert "must return one number but returned 2" in outcome.message
+    assert "must return one number, but returned 2" in outcome.message
 
 
 def test_a_cost_function_returns_as_many_numbers_each_time():

@@ -49,22 +49,22 @@ def test_what_speaks_against_an_effect_makes_its_claim_less_sure(known, worse):
 def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
     assert sure.probability == pytest.approx(39 / 42)
-    assert sure.sentence.endswith("of 40 claims like this in the benchmark, 38 were right")
+    assert sure.sentence.endswith("of 40 similar claims in the benchmark, 38 were right")
 
 
-@pytest.mark.parametrize(("effects", "of"), [(3, "50 claims"), (1, "40 claims")])
+@pytest.mark.parametrize(("effects", "of"), [(3, 50), (1, 40)])
 def test_a_claim_says_how_many_like_it_were_right(effects, of):
     known = replace(KNOWN, intercept=1.0)
     found = claim(replace(EVIDENCE, effects=effects), known)
-    assert f"of {of} like this in the benchmark" in found.sentence
+    assert f"of {of} similar claims in the benchmark" in found.sentence
     assert found.sentence.startswith(
-        f"right in place and kind with {100 * found.probability:.0f} %"
+        f"place and kind are right with a probability of {100 * found.probability:.0f} %"
     )
 
 
 def test_a_claim_below_all_of_the_benchmark_is_like_the_least_sure_ones():
     known = replace(KNOWN, alike=(LikeClaims(0.4, 20, 50), *KNOWN.alike[1:]))
-    assert "of 50 claims" in claim(replace(EVIDENCE, left=1.4, effects=5), known).sentence
+    assert "of 50 similar claims" in claim(replace(EVIDENCE, left=1.4, effects=5), known).sentence
 
 
 @pytest.mark.parametrize("doubt", [{"left": 1.6}, {"at_end": True}], ids=str)
@@ -73,8 +73,8 @@ def test_a_claim_in_doubt_is_no_surer_than_those_of_the_benchmark(doubt):
     found = claim(replace(EVIDENCE, **doubt), sure)
     assert found.probability == pytest.approx(10 / 23)
     assert found.sentence == (
-        "right in place and kind with 43 %: of 21 claims that leave as much in doubt in the "
-        "benchmark, which are few, 9 were right"
+        "place and kind are right with a probability of 43 %: of 21 equally doubtful claims in the "
+        "benchmark (a small number), 9 were right"
     )
     doubted = claim(replace(EVIDENCE, left=40.0, effects=4), replace(KNOWN, intercept=-3.0))
     assert doubted.probability < 10 / 23
@@ -88,8 +88,8 @@ def test_a_choice_that_nobody_made_is_as_sure_as_one_that_is_made_always():
 def test_a_free_curve_is_a_place_and_no_law():
     found = claim(replace(EVIDENCE, free=True), KNOWN)
     assert found.sentence == (
-        "a place and no law: of 5 free curves in the benchmark, which are few, 3 were at the right "
-        "place"
+        "this is a place without a law: of 5 free curves in the benchmark (a small number), 3 were "
+        "at the right place"
     )
     assert found.probability == pytest.approx(4 / 7)
 
@@ -98,8 +98,8 @@ def test_a_lead_is_no_claim_and_has_no_probability():
     found = lead(EVIDENCE, KNOWN)
     assert np.isnan(found.probability)
     assert found.sentence == (
-        "a lead, and no claim: of 75 such leads in the benchmark, 12 were right in place and kind, "
-        "and 33 in place"
+        "this is a lead, not a claim: of 75 leads in the benchmark, 12 were right in place and "
+        "kind, and 33 at least in place"
     )
 
 
@@ -182,5 +182,5 @@ def test_the_summary_says_how_sure_each_effect_is():
     assert said.endswith("(its place)")
     leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, declared=True, claimed=False)
     assert how_sure(leads, claimed=False).startswith(
-        "coulomb at der(v) and gain at output y: a lead"
+        "coulomb at der(v) and gain at output y: this is a lead"
     )

@@ -5,7 +5,7 @@ import pytest
 from support.loop_objects import made_problem, made_result
 from support.named_effects import estimate
 
-from cluster_est.closed_loop.findings.doubts import doubted
+from cluster_est.closed_loop.findings.claim_evidence import doubted
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
 from cluster_est.methods.method import Ending, Evaluation
@@ -26,8 +26,8 @@ def at_bound(*estimates):
 @pytest.mark.parametrize(
     ("after", "cause"),
     [
-        (at_bound(SHAPE), "e.half at its upper bound, 31 m: at the end of its range a law"),
-        (at_bound(DECLARED), "k at its upper bound, 9: an effect may replace what the bound"),
+        (at_bound(SHAPE), "e.half at its upper bound, 31 m: at the end of its range, a law"),
+        (at_bound(DECLARED), "k at its upper bound, 9: an effect may compensate for a value"),
         (SLOW, "the last fit of the model with the effects did not converge"),
     ],
     ids=["shape at its end", "declared parameter at its bound", "not converged"],
@@ -49,7 +49,7 @@ def test_without_doubts_what_was_found_stays_found():
 def test_each_cause_is_named_apart():
     _, said = doubted(FOUND, {"e"}, DONE, at_bound(SHAPE, DECLARED))
     declared, shape = said
-    assert declared.startswith("with the effects the fit ends with k at its upper bound")
+    assert declared.startswith("the fit with the effects ends with k at its upper bound")
     assert shape.startswith("the fit ends with e.half at its upper bound")
 
 

@@ -25,24 +25,24 @@ AT_ITSELF = [
     ("rpm", "viscous", "viscous friction"),
     ("m/s", "quadratic", "quadratic drag"),
     ("m/s", "power", "drag proportional to a power of the speed"),
-    ("degC", "power", "heat loss by a power law (as of natural convection)"),
+    ("degC", "power", "heat loss by a power law (as in natural convection)"),
     ("bar", "power", "outflow by a power law (as through an orifice or over a weir)"),
     ("V", "power", "a power law in z"),
     ("m/s", "coulomb", "Coulomb friction"),
     ("rad/s", "stribeck", "Stribeck friction"),
-    ("m/s", "dahl", "friction with presliding (Dahl)"),
+    ("m/s", "dahl", "presliding friction (Dahl model)"),
     ("Pa", "viscous", "leakage"),
     ("m3", "viscous", "leakage"),
     ("bar", "square_root", "flow through an orifice"),
-    ("A.h", "viscous", "leakage of charge"),
+    ("A.h", "viscous", "charge leakage"),
     ("degC", "viscous", "heat loss"),
     ("A", "viscous", "electrical resistance"),
-    ("g/l", "saturating", "saturation (as of Michaelis and Menten)"),
+    ("g/l", "saturating", "saturation (Michaelis-Menten kinetics)"),
     ("mol/l", "viscous", "first-order loss (leakage or decay)"),
     ("m/s", "square_root", "a term in the square root of z"),
     ("K", "coulomb", "a term that switches with the sign of z"),
     *((unit, "viscous", "a term linear in z") for unit in ("V", "m", "1/s", "1", "")),
-    ("%", "quadratic", "a term quadratic in z that has its sign"),
+    ("%", "quadratic", "a term quadratic in z with the sign of z"),
     ("foo^-3", "coulomb", "a term that switches with the sign of z"),
 ]
 
@@ -118,7 +118,7 @@ WHERE = {
          "Coulomb friction proportional to the magnitude of p"),
         (PRESSED, "der(v)", "coulomb_table v p", AGAINST, "Coulomb friction that depends on p"),
         (PRESSED, "der(v)", "coulomb_table v p", PARTLY,
-         "a term that switches with the sign of v and has the size of a free curve of p"),
+         "a term that switches with the sign of v and whose magnitude is a free curve of p"),
         ({}, "der(v)", "load_dependent_coulomb v p", AGAINST,
          "a term that switches with the sign of v, proportional to the magnitude of p"),
     ],
@@ -132,7 +132,7 @@ WHERE = {
     ],
     "over to what is around a state": [
         (WARM, "der(T)", "radiation T Ta", {}, "thermal radiation"),
-        (WARM, "der(T)", "power T-Ta", {}, "heat loss by a power law (as of natural convection)"),
+        (WARM, "der(T)", "power T-Ta", {}, "heat loss by a power law (as in natural convection)"),
         (WARM, "der(T)", "linear T-Ta", LESS, "heat loss"),
         (WARM, "der(T)", "linear Ta", LESS, "a term linear in Ta"),
     ],
@@ -174,9 +174,9 @@ WHERE = {
          "a variation in the lagged square of w"),
     ],
     "reactions and valves": [
-        ({"c": "mol/l"}, "der(c)", "square c", FALLS, "second-order loss (as of a reaction)"),
+        ({"c": "mol/l"}, "der(c)", "square c", FALLS, "second-order loss (as in a reaction)"),
         ({"p": "bar"}, "der(p)", "hinge p", SPILLS,
-         "outflow above a threshold (as of a relief valve)"),
+         "outflow above a threshold (as through a relief valve)"),
         ({"V": "m3"}, "der(V)", "hinge V", SPILLS, "overflow"),
     ],
     "units of a signal are those of a config": [
@@ -242,7 +242,7 @@ def test_a_force_with_its_range():
     found = described("der(v)", "coulomb", "v", estimates=numbers, curve=curve)
     assert found.sentence == (
         "Coulomb friction at der(v): der(v) += -k * tanh(v / width), with k = 0.5 m/s2 "
-        "(0.48 to 0.52); in the data v went from -0.6 to 0.6 m/s."
+        "(0.48 to 0.52); in the data, v went from -0.6 to 0.6 m/s."
     )
 
 
@@ -263,7 +263,7 @@ def test_a_wave_says_its_period_in_the_unit_that_reads_well(seconds, text):
     found = described("der(v)", "sine", values=values, declared=True)
     assert found.period == pytest.approx(seconds)
     assert f", a period of {text}" in found.sentence
-    assert f"with a period of {text}, with one phase in all experiments" in found.evidence[0]
+    assert f"with a period of {text} and the same phase in all experiments" in found.evidence[0]
 
 
 def test_a_free_curve_lists_no_values():
@@ -277,8 +277,10 @@ def test_a_free_filter_says_when_its_step_response_is_done():
     assert said.startswith(
         "Hidden dynamics from F at der(v): der(v) += k1 * z1 + k2 * z2 + k3 * z3"
     )
-    assert said.endswith("; no known form: step response with 63 % after 40 s, nearly that of the "
-                         "time constant 40 s.")  # fmt: skip
+    assert said.endswith(
+        "; no known form: the step response reaches 63 % after 40 s; a model with the time "
+        "constant 40 s has nearly the same response."
+    )
     untold = described("der(v)", "hidden_dynamics", "F").sentence
     assert "no known form" in untold
 
@@ -296,12 +298,12 @@ def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
 def test_a_parameter_that_varies_is_the_one_at_a_place(form, where):
     numbers = [estimate("n", 0.6), estimate("at", 0.12, "kg/s", on="known")]
     said = described("parameter UA", form, "m", estimates=numbers).sentence
-    assert said.endswith(f"; the value of UA is the one at {where} kg/s.")
+    assert said.endswith(f"; the estimate of UA applies at {where} kg/s.")
 
 
 def test_what_has_no_such_place_says_none():
     numbers = [estimate("k", 0.6), estimate("at", 0.12, "m")]
-    assert "the one at" not in described("der(v)", "hinge", "x", estimates=numbers).sentence
+    assert "applies at" not in described("der(v)", "hinge", "x", estimates=numbers).sentence
 
 
 def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
@@ -315,8 +317,8 @@ def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
     assert other.told_at < 0.0
     assert other.told_by == pytest.approx(-2.0 * K * other.told_at**2)
     assert effect.sentence.endswith(
-        f"On that range it equals {other.equation} (quadratic drag). At v = {other.told_at:.3g} "
-        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to "
+        f"Over that range, it equals {other.equation} (quadratic drag). At v = {other.told_at:.3g} "
+        f"m/s, the two would differ by {other.told_by:.2g} m/s2, so measure there to "
         "distinguish them."
     )
 
@@ -327,7 +329,7 @@ def test_what_agrees_nearly_is_said_with_what_it_is_off():
     )
     other = found.also[-1]
     assert other.share > 1e-3
-    assert f"On that range it differs by at most {other.difference:.2g} m/s2 (" in found.sentence
+    assert f"Over that range, it differs by at most {other.difference:.2g} m/s2 (" in found.sentence
     assert f"from {other.equation}" in found.sentence
 
 
@@ -364,7 +366,9 @@ def test_only_bins_with_samples_count():
 
 
 def test_nothing_is_said_of_what_is_no_curve():
-    assert not also("square", replace(visited(0.3, 2.1, square), why_not="it depends on the past"))
+    assert not also(
+        "square", replace(visited(0.3, 2.1, square), why_not="the effect depends on the past")
+    )
 
 
 def test_an_undetermined_band_leaves_only_equations_that_are_the_same_there():
@@ -467,9 +471,13 @@ def test_an_fmu_may_define_its_units(unit, definition, known):
 @pytest.mark.parametrize(
     ("site", "form", "words"),
     [
-        ("der(v)", "periodic", "a term in z that swings once in the data"),
-        ("der(v)", "periodic_travel", "a term in the integral of z that swings once in the data"),
-        ("output y", "periodic", "a part that swings once over y in the data"),
+        ("der(v)", "periodic", "a term in z that shows only one period in the data"),
+        (
+            "der(v)",
+            "periodic_travel",
+            "a term in the integral of z that shows only one period in the data",
+        ),
+        ("output y", "periodic", "a part that varies over y and shows only one period in the data"),
     ],
 )
 def test_a_wave_as_long_as_it_may_be_is_no_wave(site, form, words):
@@ -499,4 +507,4 @@ def test_long_times_are_said_in_minutes_hours_and_days(seconds, said):
 )
 def test_what_pushes_along_the_motion_is_said_to_feed_energy_in(unit, values, feeds):
     effect = described("der(v)", "viscous", "v", values=values, units={"v": unit})
-    assert any("feeds energy in" in sentence for sentence in effect.evidence) is feeds
+    assert any("adds energy" in sentence for sentence in effect.evidence) is feeds

@@ -122,7 +122,8 @@ def test_an_output_that_is_followed_exactly_has_nothing_to_compare():
         (TRUE / 10.0, "the declared sigma is probably 10 times too small; correct it"),
         (
             TRUE * 10.0,
-            "probably 9.9 times too large; correct it, or errors over sigma have no meaning",
+            "probably 9.9 times too large; correct it, because otherwise errors over sigma have no "
+            "meaning",
         ),
         (None, ""),
     ],
@@ -221,7 +222,7 @@ def test_size_and_period_of_a_wave():
     assert found.over_noise == pytest.approx(5.0 / np.sqrt(2.0), rel=0.05)
     assert found.size == pytest.approx(SIGMA * 5.0 / np.sqrt(2.0), rel=0.05)
     assert found.period == pytest.approx(1.0 / 8.0, rel=0.1)
-    assert "most of it with a period of" in found.sentence
+    assert "most of it has a period of" in found.sentence
 
 
 def test_a_broad_spectrum_has_no_period():
@@ -231,7 +232,7 @@ def test_a_broad_spectrum_has_no_period():
     )
     assert np.isnan(found.period)
     assert 0.03 < found.shortest_period < 0.2
-    assert "nine tenths of it with periods above" in found.sentence
+    assert "nine tenths of its power has periods above" in found.sentence
 
 
 def test_noise_alone_is_not_described():

@@ -44,7 +44,7 @@ def test_a_disturbance_that_was_logged_is_named(tmp_path):
     assert (found.column, found.output) == ("Sonne_Wm2", "y0")
     assert found.p < 1e-4
     assert found.share > 0.7
-    said = "column 'Sonne_Wm2' is not used and varies with it (it explains"
+    said = "the unused column 'Sonne_Wm2' explains"
     assert found.sentence.startswith(said)
 
 
@@ -84,7 +84,7 @@ def test_a_wave_of_the_same_period_is_named_as_that_and_no_more(tmp_path):
     (found,) = varying_columns(made, residuals, LEVEL, period=0.2)
     assert found.column == "daily"
     assert np.isnan(found.p)
-    said = "column 'daily' is not used and has the same period, 0.2 s: try it as "
+    said = "the unused column 'daily' has the same period, 0.2 s: try the column as "
     assert found.sentence == f"{said}data of the input F, or as a signal"
     assert replace(found, silent=()).sentence == f"{said}a signal"
     assert varying_columns(made, residuals, LEVEL, period=0.13) == ()

@@ -88,7 +88,7 @@ CASES = {
         Case(1.5, 1.5, CLEAN, SmoothnessTest(0.0025, 6.0), ()), Verdict.NONE, "no candidate"),
     "coloured noise": (
         Case(1.5, 1.5, NOISE, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
-        "no effect explains it"),
+        "once the autocorrelation is taken into account"),
     "autocorrelated, but too large for the noise of a sensor": (
         Case(9.0, 9.0, NOISE, STRUCTURED, (), white=QUIET), Verdict.UNEXPLAINED,
         "too large for sensor noise"),
@@ -118,7 +118,7 @@ CASES = {
         Case(11.0, 3.6, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 74%"),
     "most, but not in prediction": (
         Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=5.0), Verdict.UNEXPLAINED,
-        "only 50% of the gap in records that were left out, and 75% in training"),
+        "only 50% of the gap in records that were left out of the fit, and 75% in the"),
     "all, but what was left out is predicted worse": (
         Case(9.0, 1.0, CLEAN, left_out=13.0), Verdict.UNEXPLAINED,
         "the best effect predicts left-out records worse than the declared model"),
@@ -127,12 +127,12 @@ CASES = {
         "the best effect predicts left-out records worse than"),
     "the search ended with as many effects as it may add": (
         Case(9.0, 6.0, RejectionReason.LIMIT_OF_EFFECTS, STRUCTURED), Verdict.UNEXPLAINED,
-        "nothing in the library explains it with 3 effects (closed_loop.max_effects)"),
+        "explains the residual with at most 3 effects (closed_loop.max_effects)"),
     "a free curve explains it": (
         Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.FOUND, "with a free curve"),
     "a free filter explains it": (
         Case(9.0, 1.0, CLEAN, families=("hidden dynamics",)), Verdict.FOUND,
-        "with hidden dynamics: a filter that is not in the library"),
+        "with hidden dynamics that no form in the library describes"),
     "a free filter leaves too much": (
         Case(9.0, 3.0, LITTLE, STRUCTURED, ("hidden dynamics",)), Verdict.UNEXPLAINED, "only 75%"),
     "a free curve explains most": (
@@ -142,12 +142,13 @@ CASES = {
     "too little is explained": (
         Case(9.0, 6.0, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 38%"),
     "the rest is coloured": (
-        Case(9.0, 1.4, NOISE, STRUCTURED, white=QUIET), Verdict.FOUND, "autocorrelated noise"),
+        Case(9.0, 1.4, NOISE, STRUCTURED, white=QUIET), Verdict.FOUND,
+        "autocorrelated sensor noise"),
     "the rest is too large for noise of any colour": (
         Case(900.0, 27.0, NOISE, STRUCTURED), Verdict.PARTIAL, "still has structure"),
     "the rest is coloured, and one of four is predicted worse": (
         Case(9.0, 2.2, NOISE, STRUCTURED, white=QUIET, worse=1), Verdict.FOUND,
-        "autocorrelated noise"),
+        "autocorrelated sensor noise"),
     "the rest is coloured, but half is predicted worse": (
         Case(9.0, 2.2, NOISE, STRUCTURED, white=QUIET, worse=2), Verdict.PARTIAL,
         "still has structure"),
@@ -186,7 +187,7 @@ def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
 
 def test_only_a_known_sigma_sets_the_noise_of_a_sensor_apart_from_a_slow_effect():
     search = CASES["coloured noise"][0].search()
-    said = "a slow effect of this size cannot be distinguished from such noise"
+    said = "a slow effect of this size cannot be distinguished from autocorrelated noise"
     assert said in judge(made_fitter(PROBLEM), search).reason
     declared = replace(made_fitter(PROBLEM), sigma_declared=True)
     assert said not in judge(declared, search).reason
@@ -200,7 +201,7 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
     judgement = judge(declared, replace(search, noise=np.array([white])))
     assert judgement.verdict is Verdict.COLOURED
     assert (
-        "(1.2 times the white part of the noise; without a declared sigma that" in judgement.reason
+        "(1.2 times the white-noise component; unless you declare a sigma that" in judgement.reason
     )
 
 
@@ -209,10 +210,10 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
     [
         (
             1.0,
-            "the remaining error is smoother than the noise of a sensor but no larger than its "
+            "the remaining error is smoother than sensor noise, but no larger than the declared "
             "sigma ",
         ),
-        (3.0, "something is missing (residual 3 times the declared sigma)"),
+        (3.0, "the model lacks something (the residual is 3 times the declared sigma)"),
     ],
 )
 def test_noise_that_was_filtered_is_not_said_to_be_something_that_is_missing(size, said):
@@ -250,7 +251,10 @@ def test_a_narrowed_search_does_not_speak_for_the_whole_library(narrowed):
     search = Case(9.0, 6.0, LITTLE, STRUCTURED).search()
     search = replace(search, settings=LoopSettings(**narrowed))
     reason = judge(made_fitter(PROBLEM), search).reason
-    assert "nothing among the forms and sites of closed_loop explains it" in reason
+    assert (
+        "no effect among the forms and sites that closed_loop allows explains the residual"
+        in reason
+    )
 
 
 def changes(train: tuple[float, float], test: tuple[float, float] | None = None, output="y"):
@@ -268,23 +272,23 @@ FOUND = ReasonedVerdict(Verdict.FOUND, "the effects close 99%", 0.99, 0.75)
 FOLLOWED = changes((9.0, 1.1), (9.0, 1.2))
 HELD_OUT = {
     "both are followed": (
-        FOLLOWED, Verdict.FOUND, "1.10 times the noise on training and 1.20"),
+        FOLLOWED, Verdict.FOUND, "1.10 times the noise on training data and 1.20"),
     "nothing was held out": (
-        changes((9.0, 1.1)), Verdict.FOUND, "what is left is 1.10 times the noise"),
+        changes((9.0, 1.1)), Verdict.FOUND, "the remaining error is 1.10 times the noise"),
     "more than noise is left in training": (
         changes((90.0, 1.6), (90.0, 1.2)), Verdict.PARTIAL, "1.60 times the noise on training"),
     "more is left of what was held out": (
-        changes((90.0, 1.1), (300.0, 111.0)), Verdict.PARTIAL, "and 111 on held-out data"),
+        changes((90.0, 1.1), (300.0, 111.0)), Verdict.PARTIAL, "and 111 times on held-out data"),
     "little is closed of what was held out": (
         changes((90.0, 1.1), (300.0, 250.0)), Verdict.UNEXPLAINED,
-        "only 31% of the gap would be closed"),
+        "would close only 31% of the gap"),
     "what was held out gets worse": (
         changes((90.0, 1.1), (3.0, 3.1)), Verdict.UNEXPLAINED, "would grow from 3 to 3.1"),
     "there was little to gain where it was held out": (
-        changes((9.0, 1.1), (1.1, 1.0)), Verdict.FOUND, "and 1.00 on held-out data"),
+        changes((9.0, 1.1), (1.1, 1.0)), Verdict.FOUND, "and 1.00 times on held-out data"),
     "the output with the largest error decides": (
         changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b"),
-        Verdict.PARTIAL, "more than the limit of 1.5 times for"),
+        Verdict.PARTIAL, "exceeds the limit of 1.5 times for"),
     "an experiment could not be simulated before": (
         [*FOLLOWED, change("test", NAN, 1.0)], Verdict.FOUND, "1.10 times the noise on training"),
     "an experiment cannot be simulated any more": (
@@ -300,10 +304,10 @@ HELD_OUT = {
         "training experiment 'lost' could not be simulated"),
     "how much is too much is said of the size": (
         [*changes((90.0, 1.6), (90.0, 1.2)), change("test", NAN, NAN)], Verdict.PARTIAL,
-        "1.20 on held-out data, which is more than the limit of 1.5"),
+        "1.20 times on held-out data, which exceeds the limit of 1.5"),
     "the noise is not known": (
         [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, NAN, NAN)], Verdict.PARTIAL,
-        "the noise of y is not known"),
+        "the error of y was not compared with the noise"),
     "what is followed exactly needs no noise": (
         [ErrorChange("train", "train", "y", "m", 100, 0.0, 0.0, NAN, NAN),
          *changes((9.0, 1.0), (9.0, 1.0), "b")], Verdict.FOUND, "1.00 times the noise"),
@@ -323,8 +327,8 @@ def test_innovations_are_not_compared_by_their_size_alone():
     filtered = replace(FOUND, filtered=True)
     judged = confirmed(filtered, changes((1.2, 1.0), (1.037, 1.041)), LoopSettings())
     assert judged.verdict is Verdict.FOUND
-    assert "1.04 on held-out data" in judged.reason
-    assert "the spread that noise explains" in judged.reason
+    assert "1.04 times on held-out data" in judged.reason
+    assert "the spread that noise alone explains" in judged.reason
 
 
 def test_what_counts_as_near_the_noise_is_a_setting():
@@ -356,7 +360,7 @@ def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
     assert confirmed(replace(judged, noise={}), small, LoopSettings()).verdict is Verdict.FOUND
     found = confirmed(judged, small, LoopSettings())
     assert found.verdict is Verdict.PARTIAL
-    assert "what is left is 4.00 times the noise" in found.reason
+    assert "the remaining error is 4.00 times the noise" in found.reason
 
 
 def test_errors_over_a_declared_sigma_are_said_to_be_that():
@@ -374,7 +378,7 @@ def test_a_gap_on_held_out_data_is_that_to_the_noise_as_it_is():
     judged, errors = replace(FOUND, floor=10.0, declared=True), changes((30.0, 10.0), (15.7, 10.2))
     found = confirmed(judged, errors, LoopSettings())
     assert found.verdict is Verdict.PARTIAL
-    assert "10 times the declared sigma on training and 10.2 on held-out" in found.reason
+    assert "10 times the declared sigma on training data and 10.2 times on held-out" in found.reason
     assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.UNEXPLAINED
 
 
@@ -443,7 +447,7 @@ def test_the_dearest_is_named_with_its_figure_and_so_is_what_was_added():
     others = [structure("b", 31.4), structure("c", 7.0)]
     (said,) = expensive_structures([structure("a", 1.2), *others])
     assert said.startswith("2 structures of the 3 that were tried")
-    assert "most of all b at der(v) (31.4 times)" in said
+    assert "the most expensive, b at der(v), needed 31.4 times as many" in said
     assert "added effects" not in said
     (said,) = expensive_structures([structure("a", 9.0, accepted=True), *others])
-    assert said.endswith("with the added effects a simulation takes 9 times the steps")
+    assert said.endswith("with the added effects, a simulation takes 9 times as many steps")

@@ -124,7 +124,7 @@ def test_an_output_without_samples_in_an_experiment_is_passed_over():
     ("residuals", "said"),
     [
         (np.random.default_rng(4).standard_normal(400), "spread over all records"),
-        (np.zeros(400), "nothing is left"),
+        (np.zeros(400), "there is no remaining error"),
     ],
     ids=["evenly", "nothing"],
 )
@@ -151,7 +151,7 @@ def test_where_and_when_most_of_a_residual_lives():
 def test_functions_of_one_argument_at_one_site_are_said_to_be_seen_as_their_sum_alone():
     dry, curve = made_candidate("a"), made_candidate("b", "table")
     (note,) = shared_arguments([dry, curve])
-    assert note.startswith("coulomb and table are functions of v at der(v): the data determine")
+    assert note.startswith("coulomb and table are functions of the same variable, v, at der(v)")
     assert shared_arguments([dry]) == ()
     elsewhere = replace(curve, effect=replace(curve.effect, variables=("x",)))
     assert shared_arguments([dry, elsewhere]) == ()

@@ -68,7 +68,7 @@ def test_what_is_held_already_needs_no_note():
     at, levels = TIMES[largest], STEPS[[largest, largest + 1]]
     where = f"by most at {at:g} s from {levels[0]:.4g} to {levels[1]:.4g}"
     assert said.startswith(
-        f"input u jumps 7 times in run 0, {where}, 7 times in run 1, {where}; straight lines"
+        f"input u jumps 7 times in run 0, {where}, 7 times in run 1, {where}; linear interpolation"
     )
     assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
     ((said, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
@@ -189,8 +189,11 @@ def test_samples_are_left_out_by_their_times():
 @pytest.mark.parametrize(
     ("left_out", "said"),
     [
-        ({"w": [1.0]}, r"left_out\.w: must be named as one of its outputs"),
-        ({"y": [-5.0]}, r"left_out\.y: must be the times of samples but there is none at -5 s"),
+        ({"w": [1.0]}, r"left_out\.w: must be one of the outputs"),
+        (
+            {"y": [-5.0]},
+            r"left_out\.y: must be the times of samples, but there is no sample at -5 s",
+        ),
         ({"y": ["x"]}, r"left_out\.y\[0\]"),
     ],
 )

@@ -326,7 +326,9 @@ class TestIncomplete:
         _, space, solution = short.solve()
         found = assess(space, solution)
         assert np.isnan(errors(found)).all()
-        assert "3 residuals determine 3 directions" in found.notes[0]
+        assert (
+            "3 residuals determine 3 independent combinations of the parameters" in found.notes[0]
+        )
 
     def test_an_active_constraint_on_a_signal_is_noted(self):
         _, space, solution = decays(count=1).solve()

@@ -61,7 +61,7 @@ def two_pairs(times, values, experiment):
     return a * b * np.exp(-times) + c / d * np.cos(times)
 
 
-TOGETHER = "the data determine {} only together: .*{}.* without changing any residual"
+TOGETHER = "the data determine {} only in combination: .*{}.* without changing any residual"
 CASES = {
     "by the same factor": (
         ratio,

@@ -136,7 +136,7 @@ def test_chains_that_are_too_short_have_no_interval_and_say_how_long_they_must_b
     assert not found.mixed
     assert all(np.isnan([each.lower, each.upper, each.mean]).all() for each in found.intervals)
     (said,) = found.sentences
-    assert "no interval, because the chains are too short." in said
+    assert "there is no interval, because the chains are too short: draws of " in said
     assert int(said.rpartition("uncertainty.posterior to at least ")[2]) > 100
 
 
@@ -154,7 +154,7 @@ def test_walkers_without_a_density_end_at_once_and_say_so():
     found = drawn(levels(), steps=1000, runner=failing.runner())
     assert found.asked == 16
     (said,) = found.sentences
-    assert "no draws, because none of 16 walkers began at a point with a density" in said
+    assert "no draws, because none of the 16 walkers began at a point with a finite density" in said
 
 
 def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
