@@ -34,18 +34,18 @@ SITES: dict[SiteKind, tuple[str, str]] = {
 """How a site of each kind is written, and what an equation does there."""
 SYMBOLS = (
     "In the equations, `v` and `w` are the variables on which an effect depends, `t` is the time, "
-    "and `z`, `y` and `e` are internal states. In the units, `site` is the unit of the result of "
-    "the equation, and `other` is the unit of the second derivative. A strength has no influence "
-    "at 0, unless another value is given. A coefficient that is held keeps its value when "
-    "`close-loop` fits the effect; a coefficient that you declare is fitted unless it has `fixed = "
-    "true`."
+    "and `z` (also `z1`, `z2` ...), `y` and `e` are internal states. In the units, `site` is the "
+    "unit of the result of the equation, and `other` is the unit of the second derivative. A "
+    "strength has no influence at 0, unless another value is given. A coefficient that is held "
+    "keeps its value when `close-loop` fits the effect; a coefficient that you declare is fitted "
+    "unless it has `fixed = true`."
 )
 EVERY_FORM = FORMS | PROCESS_NOISE
 
 
 def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
     """Return the equations of a form at a site of a kind; of a free curve a description."""
-    if form.free:
+    if form.values:
         before = {"parameter": "s times 1 plus ", "derivative": "", "pair": ""}
         return (
             f"{before.get(kind, 's plus ')}a curve of {'v' if form.variables else 's'}: straight "

@@ -5,7 +5,7 @@
         for each move: propose structures, choose the best that passes all gates
         if there is none: stop
         model = the best, without effects that no longer pay
-    if the model leaves more than noise: try a free curve in the place of all effects
+    if the model leaves more than noise: try a free curve or filter in the place of all effects
     model = the accepted one that predicts best what is left out of refits
     judge the model
 
@@ -28,7 +28,7 @@ from cluster_est.closed_loop.numerical_error import (
     measure_numerical_error,
 )
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
-from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
+from cluster_est.closed_loop.screening.screen import CandidateEvidence, findings, screen
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
 from cluster_est.closed_loop.selection.argument_functions import curve_instead
@@ -236,6 +236,7 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
     best = RoundEnd(SelectionRound(begun.screening, (), RejectionReason.LITTLE_PROMISED))
     for move in MOVES:
         if begun.has(move.part) and move.is_worth(begun, best):
+            begun = move.widened(fitter, begun)
             proposals = move.propose(fitter, begun, best)
             own = choose(fitter, begun, proposals)
             compared = (*best.compared, *proposals)
@@ -315,8 +316,9 @@ class SearchLog:
         assert won is not None
         assert prediction is not None
         fall = won.criterion - self.base.criterion(self.fitter.records)
-        self.seen = with_single(self.seen, won, fall)
-        self.accept(won.fitted, LoopPart.FREE_CURVE)
+        first = findings(end.seen.screening.ranking, self.base, 1).values()
+        self.seen = with_single(self.seen, first, won, fall)
+        self.accept(won.fitted, won.move)
         rivals = rivals_of(won, end.seen.contenders)
         return AcceptedStructure(won.fitted, prediction, rivals)
 

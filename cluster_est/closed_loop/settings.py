@@ -64,6 +64,7 @@ class LoopPart(enum.StrEnum):
     BEAM = "beam"
     EXCLUDE = "exclude"
     FREE_CURVE = "free curve"
+    FREE_DYNAMICS = "free dynamics"
     SIBLINGS = "siblings"
     DROP = "drop"
     SWITCH_WIDTHS = "switch widths"

@@ -71,19 +71,21 @@ def shape_figure(row: Row, number: int) -> FigureBlock:
     marks += evidence
     over = with_unit(row["variable"], row["variable_unit"])
     edges, counts = np.array(row["edges"], float), np.array(row["counts"], float)
-    across = Scale.around(edges, margin=0.01)
-    title = f"{row['part']} over {over}, in the range of the training data"
+    across = Scale.around(edges if len(edges) else x, margin=0.01)
+    title = (
+        f"{row['part']} over {over}{', in the range of the training data' if len(edges) else ''}"
+    )
     if not known:
         title += "; the data do not determine every coefficient, so there is no band"
     upright = Scale.around(y, low[np.isfinite(low)], high[np.isfinite(high)], seen)
-    samples = Scale(0.0, 1.08 * float(counts.max()) or 1.0)
-    plots = (
-        Plot(title, with_unit(row["part"], row["unit"]), across, upright, marks, 230),
-        Plot(f"samples over {over}", "samples", across, samples,
-             [Bars("", "faint", edges, counts)], 60),
-    )  # fmt: skip
-    note = (EVIDENCE if evidence else "") + RANGE
-    return FigureBlock(f"shape-{row['effect']}-{number}", title, Chart(plots, over), note)
+    plots = [Plot(title, with_unit(row["part"], row["unit"]), across, upright, marks, 230)]
+    note = EVIDENCE if evidence else ""
+    if len(edges):
+        samples = Scale(0.0, 1.08 * float(counts.max()) or 1.0)
+        bars = Bars("", "faint", edges, counts)
+        plots.append(Plot(f"samples over {over}", "samples", across, samples, [bars], 60))
+        note += RANGE
+    return FigureBlock(f"shape-{row['effect']}-{number}", title, Chart(tuple(plots), over), note)
 
 
 def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], FloatArray]:
@@ -122,7 +124,7 @@ def effect_words(run: ReportedRun) -> list[Block]:
     for effect in run.facts.get("effects") or []:
         blocks.append(TextBlock(effect["equation"], kind="equation"))
         _, _, values = effect["sentence"].partition(effect["equation"])
-        values = values.lstrip(", ")
+        values = values.lstrip(",; ")
         blocks.append(TextBlock(values[:1].upper() + values[1:] or effect["sentence"]))
         if effect.get("claim"):
             blocks.append(_how_sure(effect))

@@ -250,7 +250,7 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
 
     if form.memory:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
-    if form.free:
+    if form.values:
         argument = effect.variables[-1] if effect.variables else names.get("v", site.target)
         table = f"table of {argument} from low to high: "
         values = [c.name for c in form.coefficients if c.neutral is not None]

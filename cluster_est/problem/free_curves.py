@@ -278,7 +278,7 @@ class ShapedCurve:
 
     def __post_init__(self) -> None:
         where = f"effects.{self.name}"
-        if not self.form.free:
+        if not self.form.values:
             key = next(key for key in vars(UNSHAPED) if self._says(key))
             raise ConfigError(
                 f"{where}.{key}: is only for a form that is a free curve, such as table, "

@@ -32,6 +32,7 @@ WATCHED = {
     LoopPart.BEAM,
     LoopPart.EXCLUDE,
     LoopPart.FREE_CURVE,
+    LoopPart.FREE_DYNAMICS,
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
     LoopPart.DROP,
@@ -153,7 +154,13 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "drop": watched(part.DROP, moves.drop, lambda left, _, begun, given: left is not given),
             "release_widths": widths,
             "curve_instead": watched(
-                part.FREE_CURVE, argument_functions.curve_instead, lambda end, *_: end is not None
+                part.FREE_DYNAMICS,
+                watched(
+                    part.FREE_CURVE,
+                    argument_functions.curve_instead,
+                    lambda end, *_: end is not None,
+                ),
+                lambda end, *_: end is not None,
             ),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
         },
@@ -162,7 +169,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
     """Watch those of last resort, which change nothing where none passes; others do in any case."""
-    if move.part not in (LoopPart.EXCLUDE, LoopPart.FREE_CURVE):
+    if move.part not in (LoopPart.EXCLUDE, LoopPart.FREE_CURVE, LoopPart.FREE_DYNAMICS):
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
     preferred = notes.watched(

@@ -75,7 +75,7 @@ def forms_page() -> str:
 
 def _form(kind: SiteKind, form: EffectForm) -> tuple[str, str, str]:
     said = equations(kind, form)
-    equation = said[0] if form.free else "; ".join(f"`{part}`" for part in said)
+    equation = said[0] if form.values else "; ".join(f"`{part}`" for part in said)
     return f"`{form.name}`", equation, "; ".join(map(_coefficient, form.coefficients))
 
 

@@ -118,6 +118,8 @@ def systems():
                 if c.form.variables == 1
             }
             candidates += make_candidates(*given, places, beside=candidates)
+            filters = {name for (_, name), f in FORMS.items() if f.is_dynamics and not f.finer_than}
+            candidates += make_candidates(*given[:-1], LoopSettings(forms=tuple(filters)))
             candidates += [fine for c in candidates for fine in _finer(c)]
             trials = [CandidatePoint(c, c.grid[len(c.grid) // 2]) for c in candidates]
             known = [[fitted.estimates[n] for n in each.linear.parameter_names] for each in courses]

@@ -39,7 +39,12 @@ from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, FloatArray, Role
 
-FORM_OF_FAMILY = {"friction": "coulomb", "table": "table", "load": "drift"}
+FORM_OF_FAMILY = {
+    "friction": "coulomb",
+    "table": "table",
+    "load": "drift",
+    "hidden dynamics": "hidden_exchange",
+}
 """A form of the library for a family, at a state derivative."""
 NO_STRUCTURE = SmoothnessTest(0.5, 6.0)
 

@@ -122,6 +122,10 @@ class FormCondition(enum.Enum):
 
 FREE_FAMILY = "table"
 """The family of free curves."""
+DYNAMICS_FAMILY = "hidden dynamics"
+"""The family of free filters."""
+FREE_FAMILIES = (FREE_FAMILY, DYNAMICS_FAMILY)
+"""Families of what is a place and no law."""
 NOISE_FAMILY = "process noise"
 """The family of noise that acts on states."""
 
@@ -213,7 +217,8 @@ class EffectForm:
     values
         Of a free curve: the number of points that it is made of.
     finer_than
-        Name of the curve with half as many steps: a search looks at this one only where that leads.
+        Name of the curve with half as many steps, or of the filter of the next lower order: a
+        search looks at this one only where that leads.
     twins
         Pairs of coefficients that may change places, all at once, and it does the same. Of the
         first pair the first is the smaller one.
@@ -244,8 +249,13 @@ class EffectForm:
 
     @property
     def free(self) -> bool:
-        """It is a free curve: it fits anything, and explains nothing."""
-        return self.family == FREE_FAMILY
+        """It is a free curve or a free filter: it fits anything, and explains nothing."""
+        return self.family in FREE_FAMILIES
+
+    @property
+    def is_dynamics(self) -> bool:
+        """It is a free filter of its argument, with hidden states and no known form."""
+        return self.family == DYNAMICS_FAMILY
 
     @property
     def curve_values(self) -> tuple[str | None, ...]:
@@ -260,7 +270,7 @@ class EffectForm:
     @property
     def is_characteristic(self) -> bool:
         """It is a free curve of the very signal that it is added to."""
-        return self.free and not self.variables
+        return self.values > 0 and not self.variables
 
     @property
     def is_noise(self) -> bool:

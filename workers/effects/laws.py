@@ -66,6 +66,8 @@ class Law(enum.Enum):
     ATTACHED_OSCILLATOR = "a hidden oscillator attached to {v}"
     RESONANCE = "a hidden oscillator driven by {v}"
     CURVE = "a free curve of {v}"
+    DYNAMICS = "hidden dynamics from {v}"
+    EXCHANGE = "hidden dynamics of what {v} exchanges"
     OTHER = "a term in {v}"
     """Of an equation that a user wrote, or of process noise; a search tries neither."""
 
@@ -95,3 +97,4 @@ class Law(enum.Enum):
     SECOND_ORDER_LAG = "a second-order lag"
     SECOND_ORDER_LAG_FROM_ZERO = "a second-order lag that starts at zero"
     DELAY = "a delay"
+    SIGNAL_DYNAMICS = "hidden dynamics of the signal"

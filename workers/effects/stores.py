@@ -17,6 +17,10 @@ Where a store begins is known or not. As full as v says: z = v. Empty: z = 0. El
 unknown start adds decays, whatever the signals do, so z begins at 0 and a e is added, with e' = -e
 / tau from 1; the start itself is a / k. It is linear in both, and each experiment has an a of its
 own: nobody has measured how warm the wall was.
+
+What none of these says is found as a free filter: n equal lags in a row, with a free strength on
+each. Their impulse responses span the same space as Laguerre functions, which is dense in all that
+decays (B. Wahlberg, IEEE Trans. Automatic Control 36 (1991) 551-562, doi:10.1109/9.76361).
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from workers.effects.kinds import (
+    DYNAMICS_FAMILY,
     EffectForm,
     FormCoefficient,
     FormCondition,
@@ -138,5 +143,46 @@ _AT_SIGNALS = (
          (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,), order=0.6),
 )  # fmt: skip
 
-STORES = (*_AT_STATES, *_AT_SIGNALS)
+_ORDERS = (3, 5)
+"""Of free filters, the coarse one first."""
+
+
+def _filters(
+    name: str, law: Law, kinds: tuple[SiteKind, ...], term: str, *when: FormCondition
+) -> list[EffectForm]:
+    """Free filters of each order; the equation is the sum of k times a term of each state."""
+    signal = kinds == _SIGNAL
+    of = "s" if signal else "v"
+    names = (name, *(f"{name}_{order}" for order in _ORDERS[1:]))
+    made = []
+    for own, order, coarse in zip(names, _ORDERS, ("", *names), strict=False):
+        rows = range(1, order + 1)
+        states = tuple(
+            OwnState(f"z{i}", f"({of if i == 1 else f'z{i - 1}'} - z{i}) / tau", f"begin * {of}")
+            for i in rows
+        )
+        equation = " + ".join(f"k{i} * {term.format(z=f'z{i}')}" for i in rows)
+        strengths = (FormCoefficient(f"k{i}", unit="1" if signal else "site / v") for i in rows)
+        coefficients = (*strengths, _time("tau", 3.0, 12.0, 48.0), _BEGIN)
+        made.append(
+            EffectForm(own, DYNAMICS_FAMILY, law, kinds, equation if kinds == _DER else
+                       f"s + {equation}", coefficients, 0 if signal else 1, states, when=when,
+                       order=2.0, differences=True, finer_than=coarse)
+        )  # fmt: skip
+    return made
+
+
+_BEGIN = FormCoefficient(
+    "begin", None, positive=True, scale=GridScale.SHARE, grid=(1.0, 0.0), held=True, unit="1"
+)
+"""Whether a filter begins settled or empty."""
+
+_FREE_FILTERS = (
+    *_filters("hidden_dynamics", Law.DYNAMICS, _DER, "{z}", FormCondition.OTHER),
+    *_filters("hidden_exchange", Law.EXCHANGE, _DER, "({z} - v)", FormCondition.OWN),
+    *_filters("hidden_dynamics", Law.DYNAMICS, _OUT, "{z}"),
+    *_filters("signal_dynamics", Law.SIGNAL_DYNAMICS, _SIGNAL, "({z} - s)"),
+)
+
+STORES = (*_AT_STATES, *_AT_SIGNALS, *_FREE_FILTERS)
 """The forms of this module."""

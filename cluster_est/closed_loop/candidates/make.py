@@ -296,6 +296,11 @@ def _bounds(
     return -width, width
 
 
+def _is_first(form: EffectForm) -> bool:
+    """Return whether a form is tried before others have: free filters are where none passes."""
+    return not form.finer_than and not form.is_dynamics
+
+
 @final
 @dataclass(frozen=True)
 class OpenSites:
@@ -341,7 +346,7 @@ class OpenSites:
             form
             for (kind, name), form in FORMS.items()
             if kind == site.kind
-            and (name in forms if forms else not form.finer_than and form.later <= later)
+            and (name in forms if forms else _is_first(form) and form.later <= later)
             and (kinks or not form.memory)  # between the samples
         ]
 
@@ -408,13 +413,16 @@ RARE = 0.005
 
 
 def finer_form(coarse: EffectCandidate) -> EffectForm | None:
-    """Return the form of a curve with twice as many steps; None for the finest."""
+    """Return a curve's form with twice as many steps, or a filter's of the next higher order.
+
+    None for the finest.
+    """
     kind, name = coarse.site.kind, coarse.form.name
     return next((f for (k, _), f in FORMS.items() if (k, f.finer_than) == (kind, name)), None)
 
 
 def in_finer_form(coarse: EffectCandidate, form: EffectForm) -> EffectCandidate:
-    """Return a free curve with more values, over the same range: the new ones are as free."""
+    """Return a free curve or filter with more values, as free: over the same range, as slow."""
     given = {c.name: i for i, c in enumerate(coarse.form.coefficients)}
     like = [given.get(c.name, given[coarse.strengths[0]]) for c in form.coefficients]
     name = coarse.effect.name.replace(coarse.form.name, form.name, 1)
@@ -434,12 +442,14 @@ def refined(
     trajectories: Sequence[LinearisedTrajectory],
     form: EffectForm,
 ) -> tuple[EffectCandidate, list[float]]:
-    """Return a finer curve that says the same as a fitted one.
+    """Return a finer curve or filter that says the same as a fitted one.
 
     With the effect the motion may go further than it did without. Where all values of a curve are
     free, the finer one is spread over where its argument goes now.
     """
     known = dict(zip([c.name for c in coarse.form.coefficients], values, strict=True))
+    if form.is_dynamics:
+        return in_finer_form(coarse, form), [known.get(c.name, 0.0) for c in form.coefficients]
     ends = known["low"], known["high"]
     if len(coarse.strengths) == coarse.form.values:
         v = pooled(trajectories, coarse.effect.variables[-1])

@@ -29,7 +29,7 @@ from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem.display import in_a_row, percent
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.result import Result
-from workers.effects.kinds import FREE_FAMILY
+from workers.effects.kinds import FREE_FAMILIES
 from workers.messages import Role
 
 MOST_NAMED = 3
@@ -87,7 +87,7 @@ def with_claims(
             rival=rival,
             chosen=chosen,
             at_end=any(each.at_bound for each in effect.coefficients),
-            free=effect.family == FREE_FAMILY,
+            free=effect.family in FREE_FAMILIES,
         )
         found.append(replace(effect, claim=(claim if claimed else lead)(evidence)))
     return tuple(found)

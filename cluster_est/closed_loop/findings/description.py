@@ -26,6 +26,7 @@ from cluster_est.problem.display import in_a_row, readable_time
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
+from cluster_est.results.shapes.step_responses import dynamics_in_words
 from workers.messages import FloatArray
 
 LARGEST_DIFFERENCE = 10.0
@@ -314,12 +315,18 @@ def sentence_of(
         f"a value of {c.name} for each experiment" for c in candidate.form.coefficients if c.each
     ]
     values = [] if candidate.form.free else values
+    if candidate.form.is_dynamics:
+        found = {e.parameter.rpartition(".")[2]: e.value for e in coefficients}
+        known = [found.get(c.name, math.nan) for c in candidate.form.coefficients]
+        done = dynamics_in_words(candidate.form, known)
+        said += "; no known form" + (f": {done}" if done else "")
     if values:
         said += f", with {in_a_row(values)}"
     if math.isfinite(period):
         said += f", a period of {readable_time(period)}"
     said += _reference(candidate, coefficients)
     seen = curve if curve is not None and len(curve.x) and curve.variable != "time" else None
+    seen = None if candidate.form.is_dynamics else seen
     if seen is not None:
         own = candidate.site.kind == "output" and seen.variable == candidate.site.target
         said += f"; {'before the effect,' if own else 'in the data,'} {_range(seen)}"

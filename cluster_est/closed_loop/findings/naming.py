@@ -80,7 +80,8 @@ class Namer:
         variables = variables_of_effect(candidate)
         known: list[Dimension | None] = [self.units.of(name) for name in variables]
         targets = {self.units.of(target) for target in site.targets}
-        seen = curve if curve is not None and len(curve.x) else None
+        drawn = curve is not None and len(curve.x) > 0 and not candidate.form.is_dynamics
+        seen = curve if drawn else None
         way = _way(candidate)
         change = _direction(candidate, law, values, seen) * (way or 1)
         placed = PlacedLaw(

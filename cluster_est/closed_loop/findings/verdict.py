@@ -178,6 +178,7 @@ def _judged(
             f", and {predicted:.0%} of it in predictions of records that were left out of the fit"
         )
     tables = any(c.form.free for c in found.current.added)
+    dynamics = any(c.form.is_dynamics for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
     most = VERDICT.most_by_curve if tables else VERDICT.most
     if base.structured and base.within_sigma:
@@ -187,7 +188,11 @@ def _judged(
     quiet = not now.structured and predicted >= 0.0
     if quiet or closed > 1.0 - VERDICT.negligible:
         if tables:
-            share += ", with a free curve, because the shape is not in the library"
+            share += (
+                ", with hidden dynamics that no form in the library describes"
+                if dynamics
+                else ", with a free curve, because the shape is not in the library"
+            )
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     mostly = found.prediction.is_better_than(found.base_prediction)
     if now.of_sensors and not tables and mostly:

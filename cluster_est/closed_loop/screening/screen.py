@@ -39,6 +39,7 @@ from cluster_est.statistics.residual_tests import structure
 from cluster_est.statistics.score import CONFOUNDED, ScoreTests, family_wise, score
 from cluster_est.statistics.whiteness import SmoothnessTest
 from cluster_est.statistics.whitening import fit_autoregression, whiten
+from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray
 
@@ -269,7 +270,7 @@ class CandidateRanking:
         return replace(self, plain=self.plain.without_bases(), white=self.white.without_bases())
 
     def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
-        """The best trial of each named candidate, or of each free curve; the best first."""
+        """The best trial of each named candidate, or of each free one; the best first."""
         rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
         best: dict[str, int] = {}
         for i in np.argsort(-rank, kind="stable").tolist():
@@ -466,6 +467,7 @@ def rank_curves(
         i
         for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
         if max(ranking.trials[i].candidate.form.variables, 1) == variables
+        and not ranking.trials[i].candidate.form.is_dynamics
     ][:CURVE_PLACES]
     coarse = [ranking.trials[i] for i in leaders]
     refined = len(coarse) if fitter.by_linear_systems else PROBED_PLACES
@@ -480,6 +482,38 @@ def rank_curves(
     residual = ranking.residual
     scores = score(residual.projection, residual.residuals, columns, CONFOUNDED)
     return replace(ranking, trials=(*coarse, *finer), columns=columns, plain=scores)
+
+
+def rank_filters(
+    fitter: Fitter, settings: LoopSettings, fitted: FittedModel, ranking: CandidateRanking
+) -> CandidateRanking:
+    """Rank free filters too, behind all others, at the places that these have been looked at.
+
+    None where a user has named the forms to try: what is named is among these.
+    """
+    if settings.forms:
+        return ranking
+    seen = [trial.candidate for trial in ranking.trials]
+    places = {CandidatePlace(c.site, name) for c in seen for name in c.effect.variables}
+    names = {form.name for form in FORMS.values() if form.is_dynamics and not form.finer_than}
+    trajectories = fitter.trajectories(fitted)
+    found = make_candidates(
+        fitted.problem,
+        fitter.description,
+        trajectories,
+        (),
+        settings.changed(effects=tuple(names)),
+        places if ranking.unseen > 1.0 else None,
+    )
+    trials = points_of(found)
+    columns = candidate_columns(fitter, fitted, trajectories, trials, ranking.rows)
+    scores = score(ranking.residual.projection, ranking.residual.residuals, columns, CONFOUNDED)
+    return replace(
+        ranking,
+        trials=(*ranking.trials, *trials),
+        columns=(*ranking.columns, *columns),
+        plain=ranking.plain.with_more(scores),
+    )
 
 
 def leading_places(curves: CandidateRanking) -> list[int]:

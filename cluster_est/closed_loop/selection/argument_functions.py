@@ -10,7 +10,8 @@ A free curve is a function of no form of the library: pairs of places and values
 several named effects would only patch, and explains nothing. So it is tried where no named effect
 is accepted, and at the end of a search in the place of all that were, if they leave more than
 noise. A search ends with one that does most of it: what it leaves is partly its own error, which
-named effects would only patch. A curve also leads to names, the siblings of the one that fits.
+named effects would only patch. A curve also leads to names, the siblings of the one that fits. What
+free curves are for functions, free filters are for dynamics: a step response without a name.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from cluster_est.closed_loop.screening.screen import (
     leading_places,
     place_of,
     rank_curves,
+    rank_filters,
 )
 from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.gates import SELECTION, choose
@@ -52,6 +54,7 @@ from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
     best_first,
+    proposed_by,
     refit_fully,
 )
 from cluster_est.closed_loop.selection.rounds import (
@@ -89,8 +92,10 @@ def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
     """
     most = REFINEMENT.curves if begun.has(LoopPart.FREE_CURVE) else 0
     curves = rank_curves(fitter, begun.model, begun.screening.ranking)
-    seen = _leading(fitter, begun, curves, most)
-    seen += refit_fully(fitter, _in_other_places(fitter, begun, curves, seen))
+    places = leading_places(curves)
+    seen = _refitted(fitter, begun, curves, places[:most])
+    others = [curves.trials[i] for i in places]
+    seen += refit_fully(fitter, _in_other_places(fitter, begun, others, seen))
     return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
 
 
@@ -103,15 +108,58 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
     if not begun.has(LoopPart.FREE_CURVE):
         return []
     curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
-    return best_first(fitter.records, _leading(fitter, begun, curves, 1), LoopPart.FREE_CURVE)
+    seen = _refitted(fitter, begun, curves, leading_places(curves)[:1])
+    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
 
 
-def _leading(
-    fitter: Fitter, begun: RoundStart, curves: CandidateRanking, most: int
+def with_filters(fitter: Fitter, begun: RoundStart) -> RoundStart:
+    """Return the start of a round whose ranking has free filters too."""
+    if not begun.has(LoopPart.FREE_DYNAMICS):
+        return begun
+    ranking = rank_filters(fitter, begun.settings, begun.model, begun.screening.ranking)
+    return replace(begun, screening=replace(begun.screening, ranking=ranking))
+
+
+def free_dynamics(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose free filters, and forms of the library to which the best of them leads."""
+    del best
+    filters = refit_filters(fitter, begun)
+    return [*filters, *refit_named(fitter, begun, filters)]
+
+
+def refit_filters(
+    fitter: Fitter, begun: RoundStart, bound: PruningBound = NO_BOUND
+) -> list[RefittedCandidate]:
+    """Refit free filters of low order at the leading places, then of higher; the best first.
+
+    Only those from which a claim may be in reach: they cost nothing where a disturbance is missing.
+    """
+    if not begun.has(LoopPart.FREE_DYNAMICS):
+        return []
+    least = begun.bound(sse=claimable_sse(begun, begun.settings.max_effects))
+    ranking = begun.screening.ranking
+    trials = [trial for trial in ranking.trials if trial.candidate.form.is_dynamics]
+    leaders = [
+        i
+        for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
+        if ranking.trials[i].candidate.form.is_dynamics
+    ]
+    seen = _refitted(fitter, begun, ranking, leaders[: REFINEMENT.curves], least)
+    seen += refit_fully(fitter, _in_other_places(fitter, begun, trials, seen))
+    coarse = best_first(fitter.records, seen)
+    found = [*coarse, *finer_curves(fitter, begun, coarse, bound)]
+    return proposed_by(LoopPart.FREE_DYNAMICS, sorted(found, key=lambda c: c.criterion))
+
+
+def _refitted(
+    fitter: Fitter,
+    begun: RoundStart,
+    ranking: CandidateRanking,
+    leaders: Sequence[int],
+    bound: PruningBound = NO_BOUND,
 ) -> list[FittedModel]:
-    """Refit the curves of few values at the leading places to convergence."""
-    leaders = leading_places(curves)[:most]
-    starts = [step.start for step in first_steps(fitter, begun.model, curves, leaders)]
+    """Refit some trials of a ranking to convergence, without those that cannot reach a bound."""
+    starts = [step.start for step in first_steps(fitter, begun.model, ranking, leaders, bound)]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     return refit_fully(fitter, brief)
 
@@ -146,10 +194,10 @@ def finer_curves(
 def _in_other_places(
     fitter: Fitter,
     begun: RoundStart,
-    curves: CandidateRanking,
+    trials: Sequence[CandidatePoint],
     seen: Sequence[FittedModel],
 ) -> list[FittedModel]:
-    """Refit curves at other places briefly, from where the best one stands.
+    """Refit curves or filters at other places briefly, from where the best one stands.
 
     Far from the data many places look alike. Along a trajectory that is nearly right they do not.
     """
@@ -161,7 +209,6 @@ def _in_other_places(
     if closed < REFINEMENT.closes * (begun.model.sse - begun.floor) or not fitter.by_linear_systems:
         return []
     known = {place_of(f.added[-1]) for f in seen}
-    trials = [curves.trials[i] for i in leading_places(curves)]
     trials = [trial for trial in trials if place_of(trial.candidate) not in known]
     if not trials or not can_be_linearised(fitter, best):
         return []
@@ -224,9 +271,9 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
 def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> RoundEnd | None:
     """Return a round that a single effect has won in the place of all; None if they stay.
 
-    Only where they leave more than noise. It is a free curve, or a form of the library to which one
-    leads. It must fit better, also if what is left is noise as coloured as it looks, and predict
-    better; a curve must fit better by the price of a choice among all pairs.
+    Only where they leave more than noise. It is a free curve or filter, or a form of the library to
+    which one leads. It must fit better, also if what is left is noise as coloured as it looks, and
+    predict better; a curve or filter must fit better by the price of a choice among all pairs.
 
     Parameters
     ----------
@@ -238,14 +285,18 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
     left = leaves_more_than_noise(current, first.floor)
-    if free or not left or not first.has(LoopPart.FREE_CURVE):
+    tried = first.has(LoopPart.FREE_CURVE) or first.has(LoopPart.FREE_DYNAMICS)
+    if free or not left or not tried:
         return None
+    first = with_filters(fitter, first)
     coarse = coarse_curves(fitter, first)
     named = refit_named(fitter, first, coarse)
     coarse += switched_curves(fitter, first)
     bound = first.bound(criterion=current.criterion(records))
     finer = finer_curves(fitter, first, coarse, bound)
-    curves = sorted([*coarse, *finer], key=lambda c: c.criterion)
+    filters = refit_filters(fitter, first, bound)
+    named += refit_named(fitter, first, filters)
+    curves = sorted([*coarse, *finer, *filters], key=lambda c: c.criterion)
     price = SELECTION.pair_price * float(np.log(first.screening.count))
 
     def fits_better(contender: RefittedCandidate, least: float) -> bool:

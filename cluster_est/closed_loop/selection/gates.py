@@ -328,7 +328,7 @@ def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: F
 
 
 def _curve_does_most(begun: RoundStart) -> bool:
-    """Return whether a free curve is in a structure that closes what a claim with one needs.
+    """Return whether a free curve or filter is in a structure that closes what a claim needs.
 
     What lines between a few values leave of a smooth function is far less than the rest.
     """

@@ -1,10 +1,10 @@
 """The moves of a search: each proposes structures, from one, the ranking at it, and the data.
 
 `MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, one
-more without an earlier one, a free curve. Of a structure that has passed the gates, `drop` takes
-out what no longer pays, and `release_widths` estimates how wide its switches are. `LoopPart` has
-their names, by which a setting leaves them out. What they share is pruned in one place
-(`refits.py`, `linear_model.py`).
+more without an earlier one, a free curve, a free filter. Of a structure that has passed the gates,
+`drop` takes out what no longer pays, and `release_widths` estimates how wide its switches are.
+`LoopPart` has their names, by which a setting leaves them out. What they share is pruned in one
+place (`refits.py`, `linear_model.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.argument_functions import (
     criterion_falls,
     free_curve,
+    free_dynamics,
     refit_siblings,
+    with_filters,
 )
 from cluster_est.closed_loop.selection.gates import GATES, SELECTION
 from cluster_est.closed_loop.selection.linear_model import (
@@ -83,12 +85,15 @@ class Move:
         Whether it is tried after what the moves before it have come to.
     preferred
         The one of two ends of a round that is kept: the best so far, or that of its own proposals.
+    widened
+        The start of the round, with the candidates that it alone looks at.
     """
 
     part: LoopPart
     propose: Callable[[Fitter, RoundStart, RoundEnd], list[RefittedCandidate]]
     is_worth: Callable[[RoundStart, RoundEnd], bool]
     preferred: Callable[[RoundStart, RoundEnd, RoundEnd], RoundEnd]
+    widened: Callable[[Fitter, RoundStart], RoundStart] = lambda _, begun: begun
 
 
 def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
@@ -256,6 +261,13 @@ def _own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd
     return best if own.won is None else own
 
 
+def _better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundEnd:
+    """What fits better, a free curve or a free filter; the log has the filters in any case."""
+    if own.won is not None and (curve.won is None or own.won.criterion < curve.won.criterion):
+        return own
+    return replace(curve, seen=replace(curve.seen, screening=begun.screening))
+
+
 MOVES = (
     Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
     Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
@@ -270,6 +282,13 @@ MOVES = (
         free_curve,
         lambda begun, best: best.won is None and _has_room_for_two(begun, best),
         _own_if_it_won,
+    ),
+    Move(
+        LoopPart.FREE_DYNAMICS,
+        free_dynamics,
+        lambda _, best: best.won is None or best.won.candidate.form.free,
+        _better_of_free,
+        with_filters,
     ),
 )
 """In the order in which they are tried."""

@@ -40,8 +40,8 @@ class VerdictThresholds:
         Share of the gap that effects must close for "partial": the error is at least halved, on
         training and on held-out data. By definition: what explains less is a hint, and no model.
     most_by_curve
-        The same for "partial" with a free curve, which takes any shape: what it leaves says that
-        the effect is another one. Benchmark.
+        The same for "partial" with a free curve or filter, which takes any shape: what it leaves
+        says that the effect is another one. Benchmark.
     """
 
     gap: float = 1.15
@@ -62,7 +62,9 @@ class RejectionReason(enum.StrEnum):
     NOT_SIGNIFICANT = "nothing significant"
     COLOURED_NOISE = "coloured noise"
     LIMIT_OF_EFFECTS = "limit of effects"
-    FREE_CURVE = "a free curve was added, and its own error is part of the remaining error"
+    FREE_CURVE = (
+        "a free curve or filter was added, and its own error is part of the remaining error"
+    )
     LITTLE_PROMISED = "no candidate that can be simulated is expected to explain enough"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     ONLY_WAVES = (
@@ -338,10 +340,16 @@ def evidence_of_round(
 
 
 def with_single(
-    seen: Sequence[CandidateEvidence], won: RefittedCandidate, criterion: float
+    seen: Sequence[CandidateEvidence],
+    first: Iterable[CandidateEvidence],
+    won: RefittedCandidate,
+    criterion: float,
 ) -> list[CandidateEvidence]:
-    """Return the candidates, with the one that took the place of all effects as accepted."""
-    known = _evidence_of([each for each in seen if each.step == 1], won.candidate)
+    """Return the candidates, with the one that took the place of all effects as accepted.
+
+    `first` are those of the ranking that it was chosen from, at the declared model.
+    """
+    known = _evidence_of(first, won.candidate)
     if known is None:
         return list(seen)
     accepted = replace(known, stage=CandidateStage.ACCEPTED, criterion=criterion)

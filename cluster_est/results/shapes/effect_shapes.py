@@ -10,6 +10,7 @@ import sympy as sp
 
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
+from cluster_est.results.shapes.step_responses import settled_after, step_response
 from workers.core.assemble import TIME_SYMBOL
 from workers.effects.definition import (
     SIGNAL_SYMBOL,
@@ -130,6 +131,8 @@ def shape_over(
     )
     if curve.why_not or curve.positive or found is None or found.site.kind == "parameter":
         return None
+    if found.states:
+        return None
     part = part_shapes(found)[0]
     values = np.array([e.value for e in coefficient_estimates(found, result)])
     of_itself = not found.site.at_rates and part.argument == part.target
@@ -156,6 +159,8 @@ def _curves(
     description: ModelDescription,
     visited: VisitedValues,
 ) -> list[EffectCurve]:
+    if definition.form.is_dynamics and _is_one(definition, result):
+        return [_step_curve(definition, result, description)]
     if definition.form.memory or definition.states:
         why = "the effect depends on the past, so it is not a curve over one variable"
         return [_none(definition, why)]
@@ -174,6 +179,21 @@ def _curves(
         else:
             found.append(_none(definition, f"{UNKNOWN_ARGUMENT} {part.argument}"))
     return found
+
+
+def _step_curve(
+    definition: EffectDefinition, result: Result, description: ModelDescription
+) -> EffectCurve:
+    """The step response of a free filter, as long as it moves."""
+    form, site = definition.form, definition.site
+    values = np.array([e.value for e in coefficient_estimates(definition, result)])
+    given = definition.effect.variables or (own_variable(site) if site.at_rates else site.target,)
+    argument = f"time after a step of {given[0]} by 1"
+    part = EffectShape(site.target, argument, step_response(form))
+    span = np.array([0.0, settled_after(form, values)])
+    curve = _curve(definition, part, span, result, description)
+    nothing = np.zeros(0)
+    return replace(curve, variable_unit="s", edges=nothing, counts=nothing)
 
 
 def part_shapes(definition: EffectDefinition, signal: float = 1.0) -> list[EffectShape]:

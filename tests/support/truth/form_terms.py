@@ -479,6 +479,57 @@ def _rubbed_input(t: float, x: np.ndarray, f: float) -> list[float]:
     return [*plain(t, x, f - 0.5 * x[2]), _dahl(x[1], x[2])]
 
 
+STRENGTHS = (0.8, -0.5, 0.6, 0.3, -0.2)
+"""Of the lags of a free filter."""
+
+
+def _filtered(kind: str, name: str, order: int) -> np.ndarray:
+    """What is shown with a filter of the force, the speed or the position that begins half full."""
+    k, tau = np.array(STRENGTHS[:order]), 0.1
+    exchanges, shown = "dynamics" not in name or "signal" in name, kind == "output"
+
+    def argument(x: np.ndarray, f: float) -> float:
+        return x[1] if "exchange" in name else x[0] if shown and exchanges else f
+
+    def added(u: float, z: np.ndarray) -> float:
+        return float(k @ (z - u if exchanges else z))
+
+    def slope(t: float, x: np.ndarray, f: float) -> list[float]:
+        u, z = argument(x, f), x[2:]
+        more = added(u, z)
+        v, dv = plain(t, x, f + more if kind == "input" else f)
+        before = [u, *z[:-1]]
+        return [v, dv + (more if kind == "derivative" else 0.0), *((before - z) / tau)]
+
+    begun = 0.5 * argument(np.array(START), FORCE[0])
+    found = solve(slope, (*START, *(order * (begun,))))
+    if not shown:
+        return found[:, 0]
+    return found[:, 0] + [added(argument(x, f), x[2:]) for x, f in zip(found, FORCE, strict=True)]
+
+
+FILTERS = {
+    ("derivative", "hidden_dynamics"): ("F",),
+    ("derivative", "hidden_exchange"): (),
+    ("output", "hidden_dynamics"): ("F",),
+    ("input", "signal_dynamics"): (),
+    ("output", "signal_dynamics"): (),
+}
+"""Free filters, and what they are functions of; each has an order of three and one of five."""
+
+FILTERED = [
+    FormTruth(
+        kind,
+        f"{name}{end}",
+        (*STRENGTHS[:order], 0.1, 0.5),
+        variables,
+        partial(_filtered, kind, name, order),
+        1e-8 if kind != "output" else 1e-6 if variables else 2e-5,
+    )
+    for (kind, name), variables in FILTERS.items()
+    for end, order in (("", 3), ("_5", 5))
+]
+
 STORED: list[FormTruth] = [
     FormTruth(
         "derivative", "store", (6.0, 0.3), ("x",), partial(_first, _relaxing((6.0, 0.3)), 0.0), 1e-8
@@ -601,7 +652,7 @@ WITH_MEMORY = [
 ]
 """Forms with states of their own, and those that need values of another time."""
 
-TRUTHS = [*_functions(), *WITH_MEMORY, *STORED]
+TRUTHS = [*_functions(), *WITH_MEMORY, *STORED, *FILTERED]
 """Of every form at the springs but for those of `OWN_TESTS`."""
 
 

@@ -158,6 +158,7 @@ MEMORIES = {
     Law.RATE_LIMIT_FROM_REST: "rate_limit_from_rest",
 }  # fmt: skip
 FREE = (Law.CURVE, Law.CHARACTERISTIC, Law.SWITCH_BY_CURVE)
+FILTERS = (Law.DYNAMICS, Law.EXCHANGE, Law.SIGNAL_DYNAMICS)
 
 
 def coefficients(form: EffectForm) -> dict[str, float]:
@@ -316,9 +317,27 @@ def test_a_law_of_time(form):
     assert form.law in (Law.WAVE, Law.DRIFT)
 
 
-def test_a_memory_and_a_free_curve_have_laws_of_their_own():
+def test_a_memory_and_what_is_free_have_laws_of_their_own():
     for form in FORMS.values():
         assert MEMORIES.get(form.law, "") == form.memory
-        assert (form.law in FREE) == form.free
-        if form.free:
+        assert (form.law in (*FREE, *FILTERS)) == form.free
+        assert (form.law in FILTERS) == form.is_dynamics
+        if form.values:
             assert FREE.index(form.law) == {1: 0, 0: 1, 2: 2}[form.variables]
+
+
+@pytest.mark.parametrize("form", having(lambda f: f.is_dynamics))
+def test_a_free_filter_is_equal_lags_in_a_row(form):
+    """Settled, it exchanges nothing and leaves a signal as it is; else it adds each strength."""
+    argument = "v" if form.variables else "s"
+    names = [z.name for z in form.states]
+    before = [argument, *names]
+    for state, other in zip(form.states, before, strict=False):
+        assert state.derivative == f"({other} - {state.name}) / tau"
+        assert state.start == f"begin * {argument}"
+    f = read(form, form.equation, argument, *names)
+    values = coefficients(form)
+    total = sum(values[f"k{i + 1}"] for i in range(len(names)))
+    settled = f(X, *(X for _ in names))
+    assert same(settled, total * X if form.law is Law.DYNAMICS else 0.0)
+    assert same(f(0.0 * X, *(X for _ in names)), total * X)

@@ -591,6 +591,15 @@ def test_a_finer_curve_says_the_same_where_the_coarse_one_was(kind, name, site, 
     assert known.get("back", 2.0) == 2.0
 
 
+def test_a_filter_of_higher_order_says_the_same_and_is_the_last():
+    coarse = curve("derivative", "hidden_dynamics", "der(v)", ("x",))
+    finer, values = refined(coarse, (1.0, -2.0, 0.5, 7.0, 1.0), [], finer_form(coarse))
+    assert values == [1.0, -2.0, 0.5, 0.0, 0.0, 7.0, 1.0]
+    assert [len(e.form.states) for e in (coarse, finer)] == [3, 5]
+    assert finer.effect.form == "hidden_dynamics_5"
+    assert finer_form(finer) is None
+
+
 def test_there_are_three_resolutions_and_none_finer():
     coarse = curve("derivative", "table", "der(v)", ("x",))
     sizes = [coarse.form.values]

@@ -270,6 +270,21 @@ def test_a_free_curve_lists_no_values():
     assert "with k1" not in described("der(v)", "table", "v").sentence
 
 
+def test_a_free_filter_says_when_its_step_response_is_done():
+    values = {"k1": 2.0, "k2": 0.0, "k3": 0.0, "tau": 40.0, "begin": 1.0}
+    numbers = [estimate(name, value) for name, value in values.items()]
+    said = described("der(v)", "hidden_dynamics", "F", estimates=numbers).sentence
+    assert said.startswith(
+        "Hidden dynamics from F at der(v): der(v) += k1 * z1 + k2 * z2 + k3 * z3"
+    )
+    assert said.endswith(
+        "; no known form: the step response reaches 63 % after 40 s; a model with the time "
+        "constant 40 s has nearly the same response."
+    )
+    untold = described("der(v)", "hidden_dynamics", "F").sentence
+    assert "no known form" in untold
+
+
 def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
     held = replace(estimate("k", 0.0, error=math.nan), at_bound="lower")
     said = described("der(v)", "square", "v", estimates=[held]).sentence

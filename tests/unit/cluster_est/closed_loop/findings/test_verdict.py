@@ -130,6 +130,11 @@ CASES = {
         "explains the residual with at most 3 effects (closed_loop.max_effects)"),
     "a free curve explains it": (
         Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.FOUND, "with a free curve"),
+    "a free filter explains it": (
+        Case(9.0, 1.0, CLEAN, families=("hidden dynamics",)), Verdict.FOUND,
+        "with hidden dynamics that no form in the library describes"),
+    "a free filter leaves too much": (
+        Case(9.0, 3.0, LITTLE, STRUCTURED, ("hidden dynamics",)), Verdict.UNEXPLAINED, "only 75%"),
     "a free curve explains most": (
         Case(41.0, 4.0, LITTLE, STRUCTURED, ("table",)), Verdict.PARTIAL, "still has structure"),
     "a free curve leaves too much": (

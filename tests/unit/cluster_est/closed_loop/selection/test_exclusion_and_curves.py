@@ -104,7 +104,11 @@ def test_something_may_be_added_to_a_curve_that_leaves_more_than_its_own_error(s
 
 @pytest.mark.parametrize(
     ("squares", "without", "tried"),
-    [(4_000.0, (), True), (110.0, (), False), (4_000.0, (LoopPart.FREE_CURVE,), False)],
+    [
+        (4_000.0, (), True),
+        (110.0, (), False),
+        (4_000.0, (LoopPart.FREE_CURVE, LoopPart.FREE_DYNAMICS), False),
+    ],
 )
 def test_a_curve_takes_the_place_of_all_only_where_they_leave_more_than_noise(
     monkeypatch, squares, without, tried
@@ -118,6 +122,8 @@ def test_a_curve_takes_the_place_of_all_only_where_they_leave_more_than_noise(
     monkeypatch.setattr(argument_functions, "coarse_curves", lambda *_: [made["curve"]])
     monkeypatch.setattr(argument_functions, "switched_curves", lambda *_: [made["switched"]])
     monkeypatch.setattr(argument_functions, "refit_named", lambda *_: [])
+    monkeypatch.setattr(argument_functions, "with_filters", lambda _, begun: begun)
+    monkeypatch.setattr(argument_functions, "refit_filters", lambda *_: [])
     monkeypatch.setattr(
         argument_functions,
         "finer_curves",
