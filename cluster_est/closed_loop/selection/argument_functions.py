@@ -91,7 +91,7 @@ def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
     curves = rank_curves(fitter, begun.model, begun.screening.ranking)
     seen = _leading(fitter, begun, curves, most)
     seen += refit_fully(fitter, _in_other_places(fitter, begun, curves, seen))
-    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
+    return best_first(fitter.records, seen)
 
 
 def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
@@ -103,7 +103,7 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
     if not begun.has(LoopPart.FREE_CURVE):
         return []
     curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
-    return best_first(fitter.records, _leading(fitter, begun, curves, 1), LoopPart.FREE_CURVE)
+    return best_first(fitter.records, _leading(fitter, begun, curves, 1))
 
 
 def _leading(
@@ -140,7 +140,7 @@ def finer_curves(
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
         going = [f for f in going if f.criterion(records) <= best + alternative]
-    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
+    return best_first(fitter.records, seen)
 
 
 def _in_other_places(

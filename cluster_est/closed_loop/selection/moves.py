@@ -36,7 +36,6 @@ from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
     best_first,
     full_refit,
-    proposed_by,
     refit,
     refit_fully,
     refit_pairs,
@@ -92,7 +91,7 @@ class Move:
 def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose one effect more."""
     del best
-    return _grown(fitter, begun, begun.model, begun.screening.ranking, LoopPart.ADD)
+    return _grown(fitter, begun, begun.model, begun.screening.ranking)
 
 
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
@@ -111,7 +110,7 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
         if can_be_linearised(fitter, parent):
             ranking = rank(fitter, begun.settings, parent)
             most = min((c.criterion for c in found.values()), default=np.inf)
-            for each in _grown(fitter, begun, parent, ranking, LoopPart.ADD_TWO, most):
+            for each in _grown(fitter, begun, parent, ranking, most):
                 known = found.setdefault(each.fitted.structure, each)
                 if each.criterion < known.criterion:
                     found[each.fitted.structure] = each
@@ -123,7 +122,6 @@ def _grown(
     begun: RoundStart,
     parent: FittedModel,
     ranking: CandidateRanking,
-    move: LoopPart,
     most: float = np.inf,
 ) -> list[RefittedCandidate]:
     """Refit structures with one effect more than a parent has; the best first, each once.
@@ -135,7 +133,6 @@ def _grown(
     further = accepted and _leaves_much(begun)
     settings, floor = begun.settings, begun.floor
     found = refit(fitter, parent, ranking, floor, settings, further=further, bound=bound)
-    found = proposed_by(move, found)
     found += refit_siblings(fitter, begun, parent, ranking, found)
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(found, key=lambda c: c.criterion):
@@ -215,7 +212,7 @@ def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     starts = [model.start.minus(i) for i in earlier]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     fits = refit_fully(fitter, [f for f in brief if can_be_claimed(begun, f)])
-    return best_first(fitter.records, fits, LoopPart.EXCLUDE)
+    return best_first(fitter.records, fits)
 
 
 def _own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
