@@ -28,10 +28,12 @@ from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
 
+LAST_RESORT = {move.part for move in moves.MOVES if move.preferred is moves.own_if_it_won}
+"""Moves that change nothing where what they propose does not win."""
+
 WATCHED = {
+    *LAST_RESORT,
     LoopPart.BEAM,
-    LoopPart.EXCLUDE,
-    LoopPart.FREE_CURVE,
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
     LoopPart.DROP,
@@ -161,8 +163,8 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
 
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
-    """Watch those of last resort, which change nothing where none passes; others do in any case."""
-    if move.part not in (LoopPart.EXCLUDE, LoopPart.FREE_CURVE):
+    """Watch those of last resort; others change something in any case."""
+    if move.part not in LAST_RESORT:
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
     preferred = notes.watched(

@@ -67,15 +67,14 @@ dropped. Theory: a Bonferroni correction, twice the logarithm on the scale of th
 
 @dataclass(frozen=True)
 class Move:
-    """A way to grow a structure.
+    """A way to grow or change a structure. It is tried where something is significant at it.
 
     Attributes
     ----------
     part
         Its name.
     propose
-        Refit larger structures, given the best so far and what it was compared with; the best
-        first.
+        Refit structures, given the best so far and what it was compared with; the best first.
     is_worth
         Whether it is tried after what the moves before it have come to.
     preferred
@@ -215,8 +214,12 @@ def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     return best_first(fitter.records, fits)
 
 
-def _own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
-    """What a move has come to itself, where it is tried because nothing else has won."""
+def own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
+    """The end of a move of last resort if it has won: it is tried only where nothing else has.
+
+    Unless it wins it changes nothing, as long as no move after it reads what it has proposed;
+    `exclude` reads what those before it have.
+    """
     del begun
     return best if own.won is None else own
 
@@ -228,13 +231,13 @@ MOVES = (
         LoopPart.EXCLUDE,
         exclude,
         lambda begun, best: best.won is None and bool(begun.model.added),
-        _own_if_it_won,
+        own_if_it_won,
     ),
     Move(
         LoopPart.FREE_CURVE,
         free_curve,
         lambda begun, best: best.won is None and _has_room_for_two(begun, best),
-        _own_if_it_won,
+        own_if_it_won,
     ),
 )
 """In the order in which they are tried."""
