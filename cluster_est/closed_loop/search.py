@@ -229,7 +229,7 @@ def grow(
 
 
 def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
-    """Let each move propose larger structures, and choose the best that passes the gates."""
+    """Let each move propose structures, and choose the best that passes the gates."""
     stop = reason_to_stop(begun)
     if stop is not None:
         return RoundEnd(SelectionRound(begun.screening, (), stop))
@@ -237,7 +237,10 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
     for move in MOVES:
         if begun.has(move.part) and move.is_worth(begun, best):
             begun = move.widened(fitter, begun)
-            proposals = move.propose(fitter, begun, best)
+            proposals = [
+                replace(proposal, move=proposal.move or move.part)
+                for proposal in move.propose(fitter, begun, best)
+            ]
             own = choose(fitter, begun, proposals)
             compared = (*best.compared, *proposals)
             stopped = {**best.stopped, **own.stopped}

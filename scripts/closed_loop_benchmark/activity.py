@@ -28,11 +28,16 @@ from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
 
+LAST_RESORT = {
+    move.part
+    for move in moves.MOVES
+    if move.preferred in (moves.own_if_it_won, moves.better_of_free)
+}
+"""Moves that change nothing where what they propose does not win."""
+
 WATCHED = {
+    *LAST_RESORT,
     LoopPart.BEAM,
-    LoopPart.EXCLUDE,
-    LoopPart.FREE_CURVE,
-    LoopPart.FREE_DYNAMICS,
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
     LoopPart.DROP,
@@ -168,8 +173,8 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
 
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
-    """Watch those of last resort, which change nothing where none passes; others do in any case."""
-    if move.part not in (LoopPart.EXCLUDE, LoopPart.FREE_CURVE, LoopPart.FREE_DYNAMICS):
+    """Watch those of last resort; others change something in any case."""
+    if move.part not in LAST_RESORT:
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
     preferred = notes.watched(

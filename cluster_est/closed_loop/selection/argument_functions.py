@@ -54,7 +54,6 @@ from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
     best_first,
-    proposed_by,
     refit_fully,
 )
 from cluster_est.closed_loop.selection.rounds import (
@@ -96,7 +95,7 @@ def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
     seen = _refitted(fitter, begun, curves, places[:most])
     others = [curves.trials[i] for i in places]
     seen += refit_fully(fitter, _in_other_places(fitter, begun, others, seen))
-    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
+    return best_first(fitter.records, seen)
 
 
 def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
@@ -109,7 +108,7 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
         return []
     curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
     seen = _refitted(fitter, begun, curves, leading_places(curves)[:1])
-    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
+    return best_first(fitter.records, seen)
 
 
 def with_filters(fitter: Fitter, begun: RoundStart) -> RoundStart:
@@ -148,7 +147,7 @@ def refit_filters(
     seen += refit_fully(fitter, _in_other_places(fitter, begun, trials, seen))
     coarse = best_first(fitter.records, seen)
     found = [*coarse, *finer_curves(fitter, begun, coarse, bound)]
-    return proposed_by(LoopPart.FREE_DYNAMICS, sorted(found, key=lambda c: c.criterion))
+    return sorted(found, key=lambda c: c.criterion)
 
 
 def _refitted(
@@ -188,7 +187,7 @@ def finer_curves(
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
         going = [f for f in going if f.criterion(records) <= best + alternative]
-    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
+    return best_first(fitter.records, seen)
 
 
 def _in_other_places(

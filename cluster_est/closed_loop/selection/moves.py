@@ -40,7 +40,6 @@ from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
     best_first,
     full_refit,
-    proposed_by,
     refit,
     refit_fully,
     refit_pairs,
@@ -72,15 +71,14 @@ dropped. Theory: a Bonferroni correction, twice the logarithm on the scale of th
 
 @dataclass(frozen=True)
 class Move:
-    """A way to grow a structure.
+    """A way to grow or change a structure. It is tried where something is significant at it.
 
     Attributes
     ----------
     part
         Its name.
     propose
-        Refit larger structures, given the best so far and what it was compared with; the best
-        first.
+        Refit structures, given the best so far and what it was compared with; the best first.
     is_worth
         Whether it is tried after what the moves before it have come to.
     preferred
@@ -99,7 +97,7 @@ class Move:
 def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose one effect more."""
     del best
-    return _grown(fitter, begun, begun.model, begun.screening.ranking, LoopPart.ADD)
+    return _grown(fitter, begun, begun.model, begun.screening.ranking)
 
 
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
@@ -121,7 +119,7 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
         if can_be_linearised(fitter, parent):
             ranking = rank(fitter, begun.settings, parent)
             most = min((c.criterion for c in found.values()), default=np.inf)
-            for each in _grown(fitter, begun, parent, ranking, LoopPart.ADD_TWO, most):
+            for each in _grown(fitter, begun, parent, ranking, most):
                 known = found.setdefault(each.fitted.structure, each)
                 if each.criterion < known.criterion:
                     found[each.fitted.structure] = each
@@ -152,7 +150,7 @@ def _other_forms(
         ]
         steps = first_steps(fitter, rest, ranking, there[: begun.settings.refits], bound)
         found += Growth(fitter, rest, begun.floor, bound).refit_steps(steps)
-    return proposed_by(LoopPart.SIBLINGS, found)
+    return [replace(contender, move=LoopPart.SIBLINGS) for contender in found]
 
 
 def _grown(
@@ -160,7 +158,6 @@ def _grown(
     begun: RoundStart,
     parent: FittedModel,
     ranking: CandidateRanking,
-    move: LoopPart,
     most: float = np.inf,
 ) -> list[RefittedCandidate]:
     """Refit structures with one effect more than a parent has; the best first, each once.
@@ -172,7 +169,6 @@ def _grown(
     further = accepted and _leaves_much(begun)
     settings, floor = begun.settings, begun.floor
     found = refit(fitter, parent, ranking, floor, settings, further=further, bound=bound)
-    found = proposed_by(move, found)
     found += refit_siblings(fitter, begun, parent, ranking, found)
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(found, key=lambda c: c.criterion):
@@ -252,16 +248,20 @@ def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     starts = [model.start.minus(i) for i in earlier]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     fits = refit_fully(fitter, [f for f in brief if can_be_claimed(begun, f)])
-    return best_first(fitter.records, fits, LoopPart.EXCLUDE)
+    return best_first(fitter.records, fits)
 
 
-def _own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
-    """What a move has come to itself, where it is tried because nothing else has won."""
+def own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
+    """The end of a move of last resort if it has won: it is tried only where nothing else has.
+
+    Unless it wins it changes nothing, as long as no move after it reads what it has proposed;
+    `exclude` reads what those before it have.
+    """
     del begun
     return best if own.won is None else own
 
 
-def _better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundEnd:
+def better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundEnd:
     """What fits better, a free curve or a free filter; the log has the filters in any case."""
     if own.won is not None and (curve.won is None or own.won.criterion < curve.won.criterion):
         return own
@@ -275,19 +275,19 @@ MOVES = (
         LoopPart.EXCLUDE,
         exclude,
         lambda begun, best: best.won is None and bool(begun.model.added),
-        _own_if_it_won,
+        own_if_it_won,
     ),
     Move(
         LoopPart.FREE_CURVE,
         free_curve,
         lambda begun, best: best.won is None and _has_room_for_two(begun, best),
-        _own_if_it_won,
+        own_if_it_won,
     ),
     Move(
         LoopPart.FREE_DYNAMICS,
         free_dynamics,
         lambda _, best: best.won is None or best.won.candidate.form.free,
-        _better_of_free,
+        better_of_free,
         with_filters,
     ),
 )

@@ -77,14 +77,14 @@ def refit_fully(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel
 
 @dataclass(frozen=True)
 class RefittedCandidate:
-    """A model with one effect more, refitted: the proposal of a move.
+    """A structure, refitted: the proposal of a move.
 
     Attributes
     ----------
     full
         It was refitted to convergence.
     move
-        The part of the search that proposed it; None while that is not said.
+        The part of the search that proposed it; None for the move that returns it.
     """
 
     fitted: FittedModel = field(repr=False)
@@ -111,11 +111,6 @@ def best_first(
 
 Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
 """For each effect, by name, the model that brought it in and those that it won against."""
-
-
-def proposed_by(move: LoopPart, contenders: Sequence[RefittedCandidate]) -> list[RefittedCandidate]:
-    """Return contenders that name the move which proposed them."""
-    return [replace(contender, move=move) for contender in contenders]
 
 
 def refit(
@@ -321,7 +316,7 @@ def refit_pairs(
     asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
     growth = Growth(fitter, current, floor, bound)
     fits = growth.briefly([start for start in asked if start is not None])
-    return proposed_by(LoopPart.ADD_TWO, growth.successive_halving(fits))
+    return growth.successive_halving(fits)
 
 
 def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tuple[int, int]]:
