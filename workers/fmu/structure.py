@@ -20,7 +20,8 @@ class VariableDependency:
     Attributes
     ----------
     name
-        The output or derivative.
+        The output or derivative: of the latter the variable, such as "der(v)", not its state.
+        Derivatives come in the order of `ModelStructure.states`.
     on
         Names of states, inputs and others. None: not declared, so it may be anything.
     """

@@ -394,7 +394,16 @@ def starts_in_its_place(
     """Return the best candidate's model with the likeliest others in its place, at most some.
 
     Along its trajectory, what they should do is what it does and what it leaves; those that could
-    not do as much are left out. `current` is the model that it was added to.
+    not do as much are left out.
+
+    Parameters
+    ----------
+    current
+        The model that it was added to. If it acts at an input, this has the input without it.
+    best
+        The candidate is the last effect of its model. `ending_with` counts another one last.
+    trials
+        What is tried in its place.
     """
     fitted = best.fitted
     name, values = best.candidate.effect.name, fitted.coefficients(best.candidate)

@@ -280,7 +280,8 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
     begun
         The round.
     proposals
-        Structures larger than the accepted one, refitted.
+        Structures other than the accepted one, refitted. One with no more effects than that pays
+        no price for the choice among the candidates.
     """
     current = begun.model
     if not proposals:

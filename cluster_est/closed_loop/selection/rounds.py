@@ -103,7 +103,7 @@ class SelectionRound:
 
 @dataclass(frozen=True)
 class RoundStart:
-    """The structure that a round grows, and must improve on.
+    """The structure that a round begins with, and must improve on.
 
     Attributes
     ----------
