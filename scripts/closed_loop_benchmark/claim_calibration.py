@@ -20,6 +20,7 @@ from scipy.stats import binomtest, rankdata
 
 from closed_loop_benchmark.scoring import Score
 from cluster_est.closed_loop.findings.claims import (
+    CLAIMED,
     ClaimCalibration,
     ClaimEvidence,
     LikeClaims,
@@ -212,6 +213,8 @@ def calibration_report(claims: Sequence[KnownClaim]) -> str:
         lines.append(f"{p.min():.3f} to {p.max():.3f}  {p.mean():.3f}  {_share(r, p.mean())}")
     parts = {
         "0.9 or more    ": probability >= 0.9,
+        "claimed        ": probability >= CLAIMED,
+        "leads          ": probability < CLAIMED,
         "never tuned on ": np.array([not each.tuned for each in laws]),
     }
     for name, rows in parts.items():
