@@ -148,7 +148,7 @@ def _other_forms(
             for i in ranking.leaders(ranking.plain, len(trials))
             if place_of(trials[i]) == place and trials[i].effect.name not in model.structure
         ]
-        steps = first_steps(fitter, rest, ranking, there[: begun.settings.refits], bound)
+        steps = first_steps(fitter, rest, ranking, there[: REFINEMENT.finalists], bound)
         found += Growth(fitter, rest, begun.floor, bound).refit_steps(steps)
     return [replace(contender, move=LoopPart.SIBLINGS) for contender in found]
 
