@@ -185,7 +185,8 @@ def test_a_search_without_a_candidate_says_so():
     result = close_loop(SPRING, settings=settings)
     assert not result.effects
     assert result.notes[0].startswith(
-        "no effect was tried: none of the forms coulomb makes sense on these data at output y"
+        "no effect was tried: with these data, none of the forms coulomb can be used at the sites "
+        "output y (some"
     )
 
 
