@@ -214,7 +214,7 @@ def of_few_samples(*samples, sigma=0.5):
 
 @pytest.mark.parametrize("samples", [3, 7])
 def test_too_few_measurements(samples):
-    sentence = f"at least 16 measured values .* 3 parameters, but they have {2 * samples}"
+    sentence = f"at least 16 measured values, .* 3 parameters, but they have {2 * samples}"
     with pytest.raises(ProblemError, match=sentence), opened(of_few_samples(samples, samples)):
         pass
 
