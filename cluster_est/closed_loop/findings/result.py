@@ -144,10 +144,10 @@ class LoopResult(ResultView):
 
     @property
     def likely(self) -> tuple[ComparedStructure, ...]:
-        """The fewest sets of effects that hold 90 % of the probability, and what was added.
+        """The fewest sets of effects with 90 % of the probability, and the set that was added.
 
-        The likeliest first; the declared model may be one of them. Empty unless the verdict is
-        "found": what else is missing would change their order.
+        The likeliest set comes first; the declared model may be one of them. Empty unless the
+        verdict is "found": otherwise the part that is still missing could change their order.
         """
         return likely_structures(self.structures)
 
@@ -162,7 +162,7 @@ class LoopResult(ResultView):
 
     @property
     def x(self) -> dict[str, float]:
-        """Physical values by label, those of the effects' coefficients among them."""
+        """Physical values by label, including the coefficients of the effects."""
         return self.after.x
 
     @property
@@ -179,7 +179,7 @@ class LoopResult(ResultView):
 
     @property
     def nfev(self) -> int:
-        """Points that were asked for."""
+        """Number of evaluated points."""
         return self.evaluations
 
     @property
@@ -188,12 +188,12 @@ class LoopResult(ResultView):
 
     @property
     def final(self) -> Result:
-        """The fit with the effects, beside the curves of the declared model fitted."""
+        """The fit with the effects; its curves before are those of the fitted declared model."""
         return replace(self.after, before=self.before.simulations)
 
     @property
     def search_seconds(self) -> float:
-        """Seconds until the last fit had ended."""
+        """Duration in seconds, up to the end of the last fit."""
         return self.after.seconds
 
     @property
