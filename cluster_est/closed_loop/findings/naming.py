@@ -228,7 +228,7 @@ def _direction(
 def _around_zero(
     candidate: EffectCandidate, values: Sequence[float]
 ) -> Callable[[float], float] | None:
-    """Return the value of an effect near zero, over its variable or its only internal state."""
+    """Return an effect as a function of its variable or only internal state; None if unknown."""
     form = candidate.form
     if form.memory or form.free or form.variables != 1 or len(values) != len(form.coefficients):
         return None
