@@ -21,7 +21,7 @@ from cluster_est.watching.server import LivePage
 
 SECONDS_OF_SLEEP = 3600.0
 SECONDS_OF_LAST_LOOK = 3.0
-"""That a run which has ended waits for an open page to see it."""
+"""Seconds for which an ended run waits, so that an open page can load the result."""
 
 
 @contextmanager

@@ -32,7 +32,7 @@ OF_FMU = (
 )
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
 INTERRUPTS_BEFORE_KILL = 4
-"""Interrupts after which the child is killed: it may hang in an FMU, where none comes through."""
+"""Number of interrupts after which the child is killed: an FMU in it may not react to them."""
 INTERRUPTED = (
     "cluster-est: interrupted ({} before the process of this command could end in order); continue "
     "a run that had begun with --resume"
@@ -41,7 +41,7 @@ FAREWELL, LOADED = b"farewell\n", b"loaded\n"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 
 _to_parent: list[int] = []
-"""Where this process tells its parent what it must know."""
+"""File descriptor on which this process sends messages to its parent; empty without a parent."""
 
 
 def run_in_child() -> None:
@@ -194,9 +194,9 @@ class ExitCode(enum.IntEnum):
 
     DONE = 0
     NO_SOLUTION = 1
-    """It ran, but did not reach a solution."""
+    """The command ran, but did not reach a solution."""
     BAD_INPUT = 2
     """Something must be corrected first; a sentence says what."""
     CRITERION_MET = 3
-    """It would have ended with 0, but for a criterion of `--fail-if`."""
+    """The command succeeded, but a criterion of `--fail-if` is met."""
     INTERRUPTED = 130

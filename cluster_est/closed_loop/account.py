@@ -1,6 +1,6 @@
-"""The account of a closed loop: the last fits, the held-out data's veto, and all in words.
+"""The account of a search: the last fits, the check on held-out data, and the result in words.
 
-After each round it gives the same of what was found so far, should nothing come after it.
+After each round it also makes a preliminary result, in case the search is interrupted.
 """
 
 from __future__ import annotations
@@ -67,19 +67,21 @@ from cluster_est.uncertainty import examine
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
 STRAIGHT_STEPS = 3
-"""Iterations of a fit to all rows in the values of the parameters, before the one that counts."""
+"""Iterations of the first fit to all rows, which has no logarithmic parameters. The fit whose
+result is reported follows it."""
 
 NOT_ALLOWED_FOR = (
-    "the intervals account only for noise, not for the remaining error beyond it: they are too "
-    "narrow"
+    "the confidence intervals account only for the noise, but the remaining error is larger than "
+    "the noise, so they are too narrow"
 )
 
 
 @dataclass(frozen=True)
 class LastFits:
-    """The last fits of the declared model and of the one with the effects, and their errors.
+    """The last fits of the declared model and of the model with the effects, and their errors.
 
-    Both are the same where nothing was added. `noise` is what the effects make of process noise.
+    If nothing was added, `before` and `after` are the same fit. `noise` has the strengths of the
+    process noise in both fits.
     """
 
     before: Result = field(repr=False)
@@ -89,7 +91,7 @@ class LastFits:
 
 
 def last_fits(fitter: Fitter, found: SelectionResult, begin: float) -> LastFits:
-    """Fit both models to convergence from where the search ended."""
+    """Fit both models to convergence, from the values with which the search ended."""
     starts = [model.start for model in last_models(found)]
     return _fitted_from(fitter, found, starts, begin, FINAL)
 
@@ -100,10 +102,10 @@ def last_fits_to_all_rows(
     starts: Sequence[FitStart],
     begin: float,
 ) -> LastFits:
-    """Do so on a fitter with all rows, from what is best on fewer; see `best_on_few_rows`.
+    """Fit both models to all rows, from the best values on thinned records (`best_on_few_rows`).
 
-    The first steps are straight, too: along a valley the best of all rows may be some standard
-    errors away.
+    The first steps use no logarithms of parameters either (see `_straight_fits`): along a valley of
+    the cost, the best values for all rows may be several standard errors away.
     """
     experiments = fitter.problem.experiments
     moved = [
@@ -118,11 +120,11 @@ def last_fits_to_all_rows(
 def best_on_few_rows(
     fitter: Fitter, starts: Sequence[FitStart]
 ) -> list[tuple[FitStart, FittedModel | None]]:
-    """Fit both models to convergence on thinned records, for a fit to all rows to start from.
+    """Fit both models to convergence on thinned records, as the start of a fit to all rows.
 
-    Each further iteration on all rows costs as much more as there are more of them. Returned is
-    each model from where its fit has ended, and that fit; the start as it was, and None, where it
-    cannot be simulated.
+    The time of an iteration is proportional to the number of rows, so most iterations are done on
+    the thinned records. For each model, the result has a start with the fitted values, and the fit.
+    For a model that cannot be simulated, it has the unchanged start and None.
     """
     return _straight_fits(fitter, starts, _of_many_rows(fitter.size))
 
@@ -130,11 +132,11 @@ def best_on_few_rows(
 def _straight_fits(
     fitter: Fitter, starts: Sequence[FitStart], method: LeastSquares
 ) -> list[tuple[FitStart, FittedModel | None]]:
-    """Fit in the values of the parameters, no logarithms among them.
+    """Fit with the parameters themselves as unknowns, without logarithms.
 
-    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the valley
-    between them, which is straight in their values and bent in their logarithms: many short steps
-    would follow it.
+    If the data can hardly distinguish two terms, such as two dampings, the cost has a valley along
+    which their sum is constant. In the values this valley is straight. In the logarithms it is
+    curved, and the fit would follow it in many short steps.
     """
     found: list[tuple[FitStart, FittedModel | None]] = []
     for start in starts:
@@ -146,7 +148,7 @@ def _straight_fits(
 
 
 def last_models(found: SelectionResult) -> list[FittedModel]:
-    """The declared model, and the one with effects where there are some."""
+    """Return the declared model and, if effects were added, the model with the effects."""
     return [found.base, found.current] if found.current.added else [found.base]
 
 
@@ -164,9 +166,10 @@ def _fitted_from(
 
 @dataclass(frozen=True)
 class LastAnswer:
-    """An answer of a search and what the training experiments say of it, after its last fits.
+    """An answer of a search after its last fits, with the verdict on the training experiments.
 
-    It is one of several, by its number, and something speaks `against` those before it.
+    A search has several possible answers. `number` says which of them this is, and `against` says
+    why the ones before it were refused.
     """
 
     found: SelectionResult = field(repr=False)
@@ -181,11 +184,18 @@ def last_answer(
     last: Sequence[Callable[[], LastFits]],
     without: Callable[[FittedModel, int, float], float],
 ) -> LastAnswer:
-    """Return the first answer that nothing speaks against after its last fits.
+    """Return the first answer that is not refused after its last fits.
 
-    Where something does against each of them, it is the first one, which is then not claimed. The
-    ends of a search come with what does the last fits of each; `without` is `p_without` on the
-    fitter of the search.
+    If all answers are refused, the first one is returned, with a verdict that claims nothing.
+
+    Parameters
+    ----------
+    ends
+        The possible answers of the search, with their verdicts.
+    last
+        For each answer, a function that does its last fits.
+    without
+        `p_without` on the fitter of the search.
     """
     refused: list[LastAnswer] = []
     said: list[str] = []
@@ -203,7 +213,7 @@ def last_answer(
 
 
 def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
-    """Let the held-out experiments veto what was found, and put it into words."""
+    """Check what was found on the held-out experiments, and put the result into words."""
     found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
     judgement = confirmed(answer.judged, fits.errors, found.settings)
@@ -277,14 +287,14 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
 
 
 def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ...]:
-    """The effects of the best set that was tried, where the search accepted none."""
+    """Return the effects of the best set that was tried, for a search that accepted none."""
     tried = (fit for fit in leading_models(fitter, found, 2) if fit.added)
     best = next(tried, None)
     return () if best is None else describe_untested(fitter, best)
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
-    """The structures that were compared; with probabilities, where noise is all that is left."""
+    """Return the compared structures; with probabilities if only noise is left."""
     if verdict is not Verdict.FOUND:
         return found.path
     return with_probabilities(found.path, choice_price(found))
@@ -296,7 +306,7 @@ def _with_errors(
     compared: tuple[ComparedStructure, ...],
     before: Result,
 ) -> tuple[ComparedStructure, ...]:
-    """The structures, with errors of those that the search accepted; nothing is chosen by them."""
+    """Return the structures with the errors of the accepted ones, which are only reported."""
     errors = {}
     for each in found.accepted[1:]:
         held_out = np.nan
@@ -307,7 +317,7 @@ def _with_errors(
         left_out = float(np.sqrt(each.prediction.total / fitter.size))
         errors[tuple(c.label for c in each.model.added)] = left_out, held_out
     rows = []
-    for row in reversed(compared):  # of several rows of one structure, the one that it ended at
+    for row in reversed(compared):  # if a structure has several rows, the last one gets its errors
         left_out, held_out = errors.pop(row.effects, (np.nan, np.nan))
         rows.append(replace(row, left_out=left_out, held_out=held_out))
     return tuple(reversed(rows))
@@ -316,10 +326,10 @@ def _with_errors(
 def _unexplained(
     fitter: Fitter, verdict: Verdict, fitted: FittedModel, found: SelectionResult
 ) -> tuple[UnexplainedResidual, ...]:
-    """What nothing explains, where something was looked for and the verdict says that it is."""
+    """Describe the unexplained part of the residual, if the verdict says that there is one."""
     if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED) or not found.steps:
         return ()
-    if fitter.predicts:  # innovations have no size of their own beyond what the noise explains
+    if fitter.predicts:  # innovations contain no part with a size of its own beyond the noise
         return ()
     outputs = residual_noise(fitter, fitted, found.noise)
     noise = believed_noise(fitter, outputs, found.noise)
@@ -340,25 +350,28 @@ def _disturbance(
     unexplained: Sequence[UnexplainedResidual],
     begun: Sequence[InitialError],
 ) -> tuple[str, ...]:
-    """Say how large what nothing explains is, and how fast, if the start is not what is wrong."""
+    """Give the size and period of the unexplained part, or name a wrong initial state."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
     if begun:
-        return (f"{begun[0].sentence}; see to that first",)
-    said = f"if it is an unmeasured disturbance, it causes {unexplained[0].sentence}"
+        return (f"{begun[0].sentence}; correct the initial state first",)
+    said = (
+        "if the remaining error comes from an unmeasured disturbance, this disturbance causes "
+        f"{unexplained[0].sentence}"
+    )
     return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
 
 
 def _nothing_tried(found: SelectionResult, sites: tuple[str, ...]) -> tuple[str, ...]:
-    """Say that not one effect could be tried, where that is so."""
+    """Say that no effect could be tried, if that is the case."""
     if not found.steps or found.steps[0].screening.ranking.trials:
         return ()
     settings = found.settings
     forms = f"forms {', '.join(settings.forms)}" if settings.forms else "forms of the library"
     return (
-        f"no effect was tried: none of the {forms} makes sense on these data at "
-        f"{', '.join(settings.sites or sites)} (some act at an output only if an input acts on it "
-        "directly); change closed_loop.effects or closed_loop.sites",
+        f"no effect was tried: with these data, none of the {forms} can be used at the sites "
+        f"{', '.join(settings.sites or sites)} (some forms can be used at an output only if an "
+        "input affects this output directly); change closed_loop.effects or closed_loop.sites",
     )
 
 
@@ -368,7 +381,7 @@ def _notes(
     fitted: FittedModel,
     after: Result,
 ) -> tuple[str, ...]:
-    """Sentences for the reader."""
+    """Return the notes on the result."""
     notes = shared_arguments(fitted.added)
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
@@ -379,10 +392,10 @@ def _notes(
 
 
 def _of_many_rows(count: int) -> LeastSquares:
-    """Return the method of the last fits to so many residuals, each simulation of which takes long.
+    """Return the method of the last fits to `count` residuals, if simulations take long.
 
-    It ends where steps are below a tenth of the standard errors, beside which the error of forward
-    differences is nothing.
+    It ends when its steps are below a tenth of the standard errors. The error of forward
+    differences is negligible compared with that.
     """
     ftol = max(FINAL.ftol, 0.25 * NOTICEABLE / count)
     return replace(FINAL, ftol=ftol, differences="forward", secant_updates=5)
@@ -391,7 +404,7 @@ def _of_many_rows(count: int) -> LeastSquares:
 def final_fit(
     fitter: Fitter, start: FitStart, begin: float, method: LeastSquares = FINAL
 ) -> Result:
-    """Fit to convergence, and simulate every experiment; `begin` is when the run began."""
+    """Fit to convergence and simulate every experiment; `begin` is the time of the run's start."""
     space = fitter.space(start)
     (solution,) = fitter.runner.run([SearchRequest("final", method, space, fitter.seed)])
     return _completed(fitter, space, solution, method, begin, examined=True)
@@ -406,7 +419,7 @@ def _completed(
     *,
     examined: bool,
 ) -> Result:
-    """The result of a fit, with simulations of every experiment; see `complete`."""
+    """Return the result of a fit, with simulations of all experiments; see `complete`."""
     runner, steps = fitter.runner, GuardedSteps()
     before = simulate_all(runner, space.problem, {})
     known = None
@@ -428,8 +441,8 @@ def _completed(
 
 
 NOT_THE_LAST = (
-    "the fits come from the search and were not refined further, and nothing was looked for beyond "
-    "these effects; --resume continues the run"
+    "this result is preliminary: its values are those of the search, before the last fits, and "
+    "there may be further effects; if the run has stopped, continue it with --resume"
 )
 
 
@@ -440,10 +453,10 @@ def result_so_far(
     scope: LoopScope,
     said: str = "",
 ) -> LoopResult | None:
-    """Return the best structure that was accepted so far as a result; None where it has none.
+    """Return the best structure that was accepted so far as a result; None if it has no result.
 
-    Its simulations are not counted and not logged, so that the run is the same without it. What is
-    `said` is about the records that the search is on.
+    Its simulations are neither counted nor logged, so that the rest of the run does not depend on
+    them. `said` is a note on the records that the search uses; "" for none.
     """
     try:
         with fitter.runner.uncounted():
@@ -453,7 +466,8 @@ def result_so_far(
             result = account(fitter, LastAnswer(found, judged, fits), scope)
     except ClusterEstError:
         return None
-    rounds = f"stopped after round {len(found.steps)} of at most {found.settings.max_effects}"
+    most = found.settings.max_effects
+    rounds = f"the search stopped after round {len(found.steps)} of at most {most}"
     return replace(
         result,
         message=f"{rounds}: {result.message}",
@@ -463,7 +477,7 @@ def result_so_far(
 
 
 def _as_it_is(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
-    """The result of a fit of the search, which is simulated once more."""
+    """Return the result of a fit of the search, for which it is simulated once more."""
     space, runner = fitted.space, fitter.runner
     values = space.physical(fitted.x)
     effects = fitted.problem.effects

@@ -35,28 +35,29 @@ from workers.messages.checks import as_tuple, check_kind, check_name, check_numb
 
 @dataclass(frozen=True)
 class DetectionResult:
-    """The evidence that something is missing from a fitted model.
+    """The evidence that a fitted model lacks something.
 
     Attributes
     ----------
     p
-        Probability that noise alone makes some candidate look as good as the best one does.
+        Probability that, with noise alone, some candidate explains as much as the best one does.
     p_white
-        The same after residual and candidates were whitened: small only if it is not just that
-        the noise is autocorrelated.
+        The same probability after the residual and the candidates were whitened. It is not small if
+        the noise is only autocorrelated.
     p_structure
-        The same for any smooth structure, whatever its shape: it needs no candidates.
+        The same probability for any smooth structure of the residual, without candidates.
     candidates
-        Number of effects that were compared and that the parameters do not confound.
+        Number of candidates that were compared, without those that a parameter can imitate.
     noise, rms
         Estimated standard deviation of each output's noise, and root mean square of its residual,
         in the output's unit.
     significance
-        Level that the p-values were compared with.
+        Level with which the p-values are compared.
     numerical_error
-        Why no effect can be told from the error of the solver or its step; empty where it is small.
+        Why effects cannot be distinguished from the error of the solver or its step; empty if this
+        error is small.
     notes
-        Sentences on that error, where it is worth a word or could not be measured.
+        Sentences on this error, if it is not negligible or could not be measured.
     """
 
     p: float
@@ -71,7 +72,7 @@ class DetectionResult:
 
     @property
     def missing(self) -> bool:
-        """Some candidate explains more than noise, white or coloured, or the solver's error may."""
+        """Whether some candidate explains more than noise or the solver's error could."""
         return max(self.p, self.p_white) <= self.significance and not self.numerical_error
 
     @property
@@ -104,12 +105,12 @@ def detect(
     settings: LoopSettings | Mapping[str, Any] | None = None,
     seed: int = 0,
 ) -> DetectionResult:
-    """Fit a problem and ask whether its residual is more than noise.
+    """Fit a problem and test whether its residual is more than noise.
 
     Parameters
     ----------
     problem
-        The declared model; an effect that it has already is part of it.
+        The declared model, including any effects that it already has.
     resources, settings, seed
         As for `close_loop`.
 
@@ -142,11 +143,11 @@ def locate(
     settings: LoopSettings | Mapping[str, Any] | None = None,
     seed: int = 0,
 ) -> tuple[CandidateEvidence, ...]:
-    """Fit a problem and rank what could be missing, and where, by a first small step.
+    """Fit a problem and rank the candidates for a missing effect.
 
-    The ranking is a hint, not a decision: a large effect changes what its own first step looks
-    like. `close_loop` simulates and refits the leaders. Candidates that are confounded with the
-    declared parameters come last.
+    The ranking uses the change of the outputs by a very small effect. So it is a hint, not a
+    decision: a large effect may change the outputs differently. `close_loop` simulates and refits
+    the best candidates. Candidates that the declared parameters can imitate come last.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def locate(
     Raises
     ------
     ClusterEstError
-        As `close_loop`; also where no effect can be told from the error of the solver or its step.
+        As `close_loop`, and if effects cannot be distinguished from the error of the solver.
     """
     request = _checked_request(problem, resources, settings, seed)
     with _fitted(request) as (fitter, fitted, error):
@@ -182,31 +183,32 @@ def add_effect(
 ) -> Problem:
     """Add an effect to a problem, with its coefficients as parameters.
 
-    Strengths start at the value that does nothing. What has no such value, like a width, or is a
-    divisor, like the time constant of a lag, starts from the size of the signals, which takes a
-    simulation of each training experiment at the problem's start values. What a search would hold,
-    like the width of a switch, is fixed.
+    Strengths start at the value at which the effect has no influence. Some coefficients have no
+    such value, like a width, or are divisors, like the time constant of a lag. Their start values
+    are derived from the size of the signals, for which each training experiment is simulated at the
+    problem's start values. Coefficients that a search does not estimate, like the width of a
+    switch, are fixed.
 
     Parameters
     ----------
     problem
-        The one that it is added to.
+        The problem to which the effect is added; it is not changed.
     site
         "der(v)", "pair v,w", "input F", "output y" or "parameter k".
     form, equation
-        A form of the library, or an equation in the FMU's names; one of the two.
+        Either the name of a form in the library, or an equation with the FMU's names.
     variables
-        Arguments of a form; empty for the state of der(STATE).
+        Arguments of a form; default: the state of der(STATE).
     name
-        Of the effect; the form if empty.
+        Name of the effect; default: the name of the form.
     start
-        Values of coefficients to start from, by name; every one of an equation of your own.
+        Start values of coefficients, by name. Your own equation needs one for each coefficient.
     reaction
-        Of an equation at a pair: what is added to the derivative of its second state.
+        For an equation at a pair: the term that is added to the derivative of the second state.
     slope_change, monotone, bounds
-        Of a form that is a free curve, such as "table": the standard deviation of what its slope
-        changes by over one unit of its argument, a prior; whether it is "increasing" or
-        "decreasing", a constraint; and the bounds of its values. See
+        For a free curve, such as the form "table". `slope_change` is a prior: the standard
+        deviation of the change of slope over one unit of the argument. `monotone` is a constraint:
+        "increasing" or "decreasing". `bounds` are the bounds of the values. See
         `cluster_est.problem.free_curves`.
 
     Raises

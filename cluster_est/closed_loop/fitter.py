@@ -405,8 +405,9 @@ class Fitter:
         for outcome in outcomes:
             if not outcome.ok:
                 raise ProblemError(
-                    f"closed loop: the fitted model cannot be simulated again "
-                    f"({outcome.status}: {outcome.message})"
+                    f"close-loop: the fitted model could not be simulated again "
+                    f"({outcome.status}: {outcome.message}); run cluster-est check to "
+                    "see whether simulations are repeatable"
                 )
         return [
             make_trajectory(run, outcome, self.description.states)

@@ -1,4 +1,4 @@
-"""Long records in a closed loop: what is looked for on thinned ones is confirmed on all rows."""
+"""Long records: the search uses thinned records, and its result is confirmed on all rows."""
 
 from __future__ import annotations
 
@@ -52,26 +52,27 @@ from cluster_est.running.resources import Resources, TaskOrigin
 from workers.messages import FloatArray, Outcome, Output
 
 FAINT = 0.3
-"""Times the noise of a thinned row by which the model may differ there, as a root mean square."""
+"""Largest change of the model's outputs by thinning, as a root mean square over the noise of a
+thinned row."""
 
 MANY = (LoopStage.TRIALS, LoopStage.REFITS, LoopStage.PROBE, LoopStage.DROP)
-"""Stages of most simulations."""
+"""Stages with most of the simulations."""
 
 CONFIRMED_ON_ALL = "estimates, errors and conclusions are from all rows"
 
 
 def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
-    """Thin the long records of a loop, as coarsely as the model allows.
+    """Thin the long records of a search, as coarsely as the model allows.
 
-    The declared model is simulated at its start on all rows and on the thinned ones: what the
-    filter and the inputs of fewer samples change must be below the noise that is left in a row, and
-    the measured rows are corrected by it. Where no way of thinning does that, records stay as they
-    are.
+    The declared model is simulated at its start values, on all rows and on the thinned rows.
+    Thinning changes the outputs, through its filter and through inputs with fewer samples. This
+    change must be below the noise of a thinned row, and the measured rows are corrected by it. If
+    no way of thinning satisfies this, the records are not thinned.
 
     Returns
     -------
     ThinnedProblem
-        `whole` of it has no outliers any more.
+        The thinned problem. Outliers were left out of its `whole` problem.
     """
     whole = request.problem
     first = thinned(whole, most, FINENESS[0])
@@ -368,7 +369,7 @@ class _ThinnedLoop:
         return self._confirmed(found)
 
     def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
-        """Search in windows, and where these do not do, on whole records."""
+        """Search in windows; if these are not sufficient, search again in the whole records."""
         declared = whole.fitter.sigma_declared
         request = replace(self._left(), problem=windows.problem, sigma_declared=declared)
         with self._counted(open_workbench(request)) as opened:
@@ -379,7 +380,8 @@ class _ThinnedLoop:
         with self._counted(reopened(self._left(), whole)) as again:
             if not why:
                 hidden = found.searched.error.hides_effects
-                why = "" if len(found.starts[0]) > 1 or hidden else "nothing was found there"
+                found_some = len(found.starts[0]) > 1 or hidden
+                why = "" if found_some else "no effect was found in the parts"
             if not why:
                 again.fitter.enter("before and after")
                 fits = [
@@ -391,7 +393,8 @@ class _ThinnedLoop:
                     starts = [[start for start, _ in models] for models in fits]
                     return replace(found, starts=starts)
             unfitted = replace(again, first_fit=None)
-            return self._search(unfitted, f"{windows.sentence}, then in all of them: {why}")
+            more = f"{windows.sentence}, and then in the whole records, because {why}"
+            return self._search(unfitted, more)
 
     def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
         """Search, and fit both models to convergence where that was done."""

@@ -1,11 +1,12 @@
-"""The recipe of the closed loop: fit, screen, refine, add, refit, report before and after.
+"""The steps of close_loop: fit, search for missing effects, add them, fit again, and report.
 
-Before the first effect is looked for, the error of the solver is measured beside the noise. With
-process noise `noise_passes` is the recipe.
+Before the search, the numerical error of the solver is measured and compared with the noise. With
+process noise, the module `process_noise` does the search.
 
-References: score tests with the declared parameters projected out follow C. R. Rao, Proc. Cambridge
-Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987; growing a model where its residual
-points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 28 (2004) 1431-1449.
+References: the score tests, which are independent of the declared parameters, follow C. R. Rao,
+Proc. Cambridge Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987. Extending a model where
+its residual suggests it follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 28
+(2004) 1431-1449.
 """
 
 from __future__ import annotations
@@ -53,18 +54,18 @@ from cluster_est.shooting.carried_states import with_carried_states
 
 @dataclass(frozen=True)
 class ClosedLoop(Study[LoopResult]):
-    """The search for what a model lacks.
+    """A search for effects that a model lacks.
 
     Attributes
     ----------
     problem
         The declared model with its parameters and experiments.
     settings
-        Thresholds and sizes.
+        Thresholds and sizes of the search.
     seed
-        Starts every random generator.
+        Seed of all random generators.
     thinning
-        Rows of long records that effects are looked for on.
+        Number of rows to which long records are thinned for the search.
     """
 
     problem: Problem
@@ -98,28 +99,29 @@ def close_loop(
     callback: Callback | None = None,
     record: Record | None = None,
 ) -> LoopResult:
-    """Find what a model lacks, add it, and report the error before and after.
+    """Search for effects that a model lacks, add them, and report the errors before and after.
 
     Parameters
     ----------
     problem
-        The declared model with its parameters and experiments. Experiments with role "test" choose
-        nothing; they can only take a verdict away.
+        The declared model with its parameters and experiments. Experiments with role "test" are not
+        used to choose effects. They can only weaken the verdict.
     resources
         Executor of the simulations, and the budget.
     settings
-        Thresholds and sizes.
+        Thresholds and sizes of the search.
     seed
-        Starts every random generator; the result is the same for any number of workers.
+        Seed of all random generators. The result is the same for any number of workers.
     thinning
-        Rows of long records that effects are looked for on.
+        Number of rows to which long records are thinned for the search.
     progress, callback, record
         As for `fit`.
 
     Raises
     ------
     ClusterEstError
-        If model, experiments and machine do not fit together, or the data cannot carry a search.
+        If model, experiments and machine are not compatible, or the data are not sufficient for a
+        search.
     """
     chosen, rows = LoopSettings.of(settings), ThinningSettings.of(thinning)
     study = ClosedLoop(prepared(problem), chosen, seed, rows)
@@ -127,12 +129,12 @@ def close_loop(
 
 
 def run_loop(request: LoopRequest) -> LoopResult:
-    """Close the loop with workers, listeners and a budget that somebody else has chosen.
+    """Do the search with the workers, listeners and budget of a request.
 
     Raises
     ------
     ClusterEstError
-        If model, experiments and machine do not fit together, or the data cannot carry a search.
+        As `close_loop`.
     """
     begin = time.monotonic()
     carried = with_carried_states(request.environment, request.problem)
@@ -165,7 +167,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
 
 
 def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
-    """Search, and fit what is found on the same workbench."""
+    """Search on all rows, and do the last fits on the same workbench."""
     with open_checked_workbench(request) as workbench:
         fitter, searched = workbench.fitter, search_and_keep(request, workbench, begin)
         fitter.enter("before and after")
@@ -177,7 +179,7 @@ def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
 
 
 def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> LoopResult:
-    """Say first which numbers are hardly measurements; those of outputs have been left out."""
+    """Put findings on the data first: numbers that are probably not measurements."""
     if not said:
         return result
     sentences = [f"check the records first: {what}; {do}" for what, do in said]
@@ -187,9 +189,9 @@ def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> 
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
-    """Say first which input the measurements prefer to be interpolated otherwise.
+    """Name an input with a probably wrong interpolation.
 
-    What a wrong interpolation leaves is found as a lag or a delay.
+    The search may find the error of a wrong interpolation as a lag or a delay.
     """
     if other is None:
         return result

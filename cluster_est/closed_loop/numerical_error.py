@@ -1,6 +1,7 @@
-"""Numerical error: what the solver and its steps add to a residual, which no effect may explain.
+"""Numerical error: the part of a residual that comes from the solver and its steps.
 
-It is measured at a fitted model: the same experiments are simulated with a finer solver.
+No effect may explain this part. It is measured with a fitted model, by a second simulation of the
+same experiments with a finer solver setting.
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ from workers.messages import FloatArray, Solver
 
 @dataclass(frozen=True)
 class NumericalErrorThresholds:
-    """Thresholds of the error of solver and steps, beside the noise.
+    """Thresholds of the numerical error, compared with the noise.
 
     Attributes
     ----------
     small
-        Error over noise up to which it is not spoken of. Theory: among some 2,500 samples its sum
-        of squares is then 6 times the noise's variance, less than the choice among the candidates
-        costs an effect, see `SelectionThresholds.choice_price`.
+        Error over noise up to which the error is not reported. Theory: with about 2,500 samples,
+        its sum of squares is then 6 times the variance of the noise. This is less than the penalty
+        for the choice among the candidates, see `SelectionThresholds.choice_price`.
     large
-        The same, above which no effect is looked for. Theory: a quarter of the noise's variance, in
-        a shape that is the same in every experiment, is what an effect looks like.
+        Error over noise above which there is no search for effects. Theory: an error with a quarter
+        of the noise's variance and the same shape in every experiment looks like an effect.
     share
-        Error over residual up to which a large one does not end the search, because most of the
-        residual is something else. By definition: a hundredth of its squares.
+        Error over residual up to which even a large error does not prevent the search, because most
+        of the residual has other causes. By definition: a hundredth of the squared residual.
     known
-        Factor by which the error may be larger than measured. Theory: that between an error of
-        first order and the change where its step is halved.
+        Factor by which the error may be larger than the measured one. Theory: an error of first
+        order is twice the change of the outputs when the step is halved.
     loose
-        Relative tolerance above which the error is spoken of in any case. By definition.
+        Relative tolerance above which the error is always reported. By definition.
     """
 
     small: float = 0.05
@@ -55,26 +56,26 @@ NUMERICAL_ERROR = NumericalErrorThresholds()
 
 
 LEAST_ORDER, MOST_ORDER = 1.0, 4.0
-"""Between which the order of a step is believed: events and kinks spoil what is observed."""
+"""Limits of a plausible convergence order; with events and kinks, the observed order is wrong."""
 
 
 @dataclass(frozen=True)
 class NumericalError:
-    """The error of solver and steps at a fit, measured by a finer solver.
+    """The numerical error of a fitted model, measured with a finer solver setting.
 
     Attributes
     ----------
     scale
-        What decides how exact the solver is.
+        The setting that determines the accuracy of the solver.
     rms, noise, residual : (outputs,)
         Root mean squares of each output's numerical error, noise and residual, in units of its
         residual.
     squares
-        Of the numerical error, summed over all residuals.
+        Sum of the squared numerical errors of all residuals.
     order
-        Of the step, as observed or assumed; NaN where a tolerance decides.
+        Convergence order of the step, observed or assumed; NaN if a tolerance sets the accuracy.
     why_not
-        Part of a sentence: why it could not be measured; the arrays are empty then.
+        Part of a sentence: why the error could not be measured. The arrays are empty then.
     beside
         Other sentences on the solver.
     """
@@ -91,33 +92,34 @@ class NumericalError:
 
     @property
     def ratios(self) -> FloatArray:
-        """(outputs,): over the noise; 0 where nothing is left that could be explained."""
+        """(outputs,): the error over the noise; 0 if the residual or the error is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = self.rms / self.noise
         return np.where((self.rms > 0.0) & (self.residual > 0.0), ratios, 0.0)
 
     @property
     def ratio(self) -> float:
-        """The largest of them."""
+        """The largest of the `ratios`."""
         return float(np.nanmax(self.ratios, initial=0.0))
 
     @property
     def explainable(self) -> float:
-        """Fall of the sum of squares that an effect could owe to the numerical error."""
+        """Decrease of the sum of squares that the numerical error could cause."""
         return NUMERICAL_ERROR.known**2 * self.squares
 
     @property
     def hides_effects(self) -> bool:
-        """Whether no effect can be told from it: large against the noise, and much of what is left.
+        """Whether effects cannot be distinguished from the error.
 
-        Where the residual is far larger than both, most of it is something else.
+        This is so if the error is large compared with the noise, and not small compared with the
+        residual. If the residual is much larger, most of it has other causes.
         """
         large = self.ratios > NUMERICAL_ERROR.large
         return bool(np.any(large & (self.rms > NUMERICAL_ERROR.share * self.residual)))
 
     @property
     def refusal(self) -> str:
-        """Return why no effect is looked for, in a sentence."""
+        """A sentence: why there is no search for effects."""
         return (
             f"{self._said}, so a missing effect cannot be distinguished from this error: set "
             f"{self._advice} first, then run again"
@@ -125,7 +127,7 @@ class NumericalError:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the reader; none where the error is small and was to be expected."""
+        """Sentences for the reader; none if the error is small, as usual."""
         if self.why_not:
             cannot = (
                 f"the numerical error of {self.scale.name} could not be measured: {self.why_not}; "
@@ -207,23 +209,24 @@ class _NoSolutionError(Exception):
 def measure_numerical_error(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray, resources: Resources
 ) -> NumericalError:
-    """Simulate the training experiments again with a finer solver, where a fit stands.
+    """Measure the numerical error of a fitted model, with a finer solver setting.
 
-    A step is halved, and where that changes the outputs by more than a small part of the noise,
-    halved again: the order of the error shows in the second change, and the error of the whole step
-    follows by extrapolation (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357,
-    doi:10.1098/rsta.1911.0009); of first order it is twice the first change. A tolerance is divided
-    by 100, and the longest step halved: what changes is the error itself, but for a few hundredths
-    (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.4,
+    With a fixed step, the step is halved. If the outputs then change by more than a small part of
+    the noise, it is halved again: the second change shows the convergence order, and extrapolation
+    gives the error of the original step (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911)
+    307-357, doi:10.1098/rsta.1911.0009). For first order, this error is twice the first change.
+    With a tolerance, the tolerance is divided by 100, and the longest step halved. The change of
+    the outputs is then the error itself, up to a few hundredths (E. Hairer, S. P. Norsett, G.
+    Wanner, Solving Ordinary Differential Equations I, section II.4,
     doi:10.1007/978-3-540-78862-1).
 
-    The simulations run one after the other in one process of their own, whatever the executor, and
-    are not logged: a log is of one solver.
+    The simulations run one after the other in a separate process, whatever the executor. They are
+    not logged, because a log is for one solver setting.
 
     Parameters
     ----------
     noise : (outputs,)
-        In units of the residuals.
+        Noise of each output, in units of the residuals.
     """
     runs, model, description = fitter.runs, fitter.problem.model, fitter.description
     scale = solver_scale(model, description, runs)
@@ -257,12 +260,12 @@ def error_with_effects(
     noise: FloatArray,
     resources: Resources,
 ) -> NumericalError:
-    """Measure the numerical error of a model with effects, where a step decides it.
+    """Measure the numerical error of a model with effects, if a fixed step determines it.
 
-    A step that is short enough for the declared model may miss the kinks of an effect: between two
-    communication points an input that has been changed counts as a straight line. It is that of the
-    declared model where nothing was added, where a tolerance keeps the error small, or where no
-    larger one can be measured.
+    A step that is short enough for the declared model may be too long for an effect with kinks,
+    because a changed input is interpolated linearly between two communication points. The error of
+    the declared model is returned if nothing was added, if a tolerance determines the error, or if
+    the measured error is not larger.
     """
     if not fitted.added or not declared.scale.step:
         return declared

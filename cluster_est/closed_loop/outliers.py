@@ -1,4 +1,4 @@
-"""A robust first pass: what must not decide a search is set aside, and what is odd is said."""
+"""A robust first pass: outliers are left out before the search, and notes say what is unusual."""
 
 from __future__ import annotations
 
@@ -30,34 +30,38 @@ from cluster_est.toml import dotted
 from workers.messages import FloatArray, Output
 
 MOST_OUTLIERS = 0.05
-"""Share of an output's samples that are set aside as outliers at most. Signal: a sensor that is
-wrong more often than once in 20 samples is no sensor."""
+"""Largest share of an output's samples that may be left out as outliers. Signal: a sensor with a
+fault in more than 1 of 20 samples is not usable as a sensor."""
 
 EXACT = 1e-5
-"""Share of an output's range that its noise counts as at least where outliers are looked for.
-Signal: a simulation is hardly more exact, and what it gets wrong is no sensor's fault."""
+"""Least noise that the search for outliers assumes, as a share of the output's range. Signal:
+simulations are hardly more exact, and a simulation error is not a sensor fault."""
 
 
 NOISE_GROWTH = 2.0
-"""Noise where a signal is large over that where it is small, from which a note is made. Theory:
-with weights wrong by a factor of 2 in sigma, least squares loses a third of its efficiency; with
-less, little."""
+"""Least ratio of the noise at large values of a signal to the noise at small values for which
+there is a note. Theory: if sigma is wrong by a factor of 2, least squares loses a third of its
+efficiency; if sigma is wrong by less, it loses little."""
 
 NOISE_GROWTH_P = 1e-6
-"""Largest p-value for the same. Theory: a thousand outputs have a false note with 0.001."""
+"""Largest p-value for which there is such a note. Theory: among a thousand outputs, the
+probability of a false note is 0.001."""
 
 Place = tuple[int, str]
-"""An experiment's index and the name of an output."""
+"""Index of an experiment, and name of one of its outputs."""
 
 Mask = npt.NDArray[np.bool_]
 
 CHANCE_OF_JUMPS = 0.01
-"""Probability above which outliers stand just after jumps by chance."""
+"""If the probability is above this value, outliers just after jumps of inputs count as chance."""
 
 
 @dataclass(frozen=True)
 class OutliersOfOutput:
-    """The outliers of one output in all experiments of a role, by experiment."""
+    """The outliers of one output in all training experiments, or in all held-out experiments.
+
+    `found` has them by the index of the experiment.
+    """
 
     output: str
     held_out: bool
@@ -73,31 +77,31 @@ class OutliersOfOutput:
 
     @property
     def few(self) -> bool:
-        """They may be faults of a sensor; more of them are how this signal is."""
+        """Whether there are so few that they may be sensor faults and not part of the signal."""
         return self.count <= MOST_OUTLIERS * self.samples
 
     @property
     def sentence(self) -> str:
-        """Return how many there are, how large, and what becomes of them."""
-        counted = f"{self.count:,} of {self.samples:,}"
+        """Return a sentence: how many there are, how large they are, and whether they are used."""
         largest = max(each.largest for each in self.found.values())
-        held = "held out: " if self.held_out else ""
-        of = f"{held}{100.0 * self.count / self.samples:.2g} %"
+        held = "held-out " if self.held_out else ""
+        of = f"{100.0 * self.count / self.samples:.2g} % of the {held}samples of {self.output}"
+        counted = f"{self.count:,} of {self.samples:,}"
         if not self.few:
             return (
-                f"{of} of the samples of {self.output} are far from all their neighbours: "
-                f"{counted}, up to {largest:.0f} times the noise; these are too many for faults "
-                "of a sensor, so all were kept; look at the signal"
+                f"{of} ({counted}) are far from all their neighbours, by up to {largest:.0f} times "
+                "the noise; these are too many to be sensor faults, so all samples were kept; look "
+                "at the signal"
             )
-        become = "errors and tables" if self.held_out else "fits, errors and tables"
+        left_out_of = "errors and tables" if self.held_out else "fits, errors and tables"
         return (
-            f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} "
-            f"times the noise, each far from all its neighbours; {become} are without them"
+            f"{of} are outliers ({counted}): they differ from all their neighbours by up to "
+            f"{largest:.0f} times the noise and were left out of {left_out_of}"
         )
 
 
 def fit_from_start(fitter: Fitter) -> FittedModel | None:
-    """Fit the declared model from the user's start; None where it cannot be simulated."""
+    """Fit the declared model from the user's start; None if it cannot be simulated."""
     start = FitStart(fitter.problem, {})
     (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
     return fitted
@@ -109,15 +113,16 @@ def open_checked_workbench(
     fit: Callable[[Fitter], FittedModel | None] = fit_from_start,
     thinned: Collection[Place] = (),
 ) -> Iterator[LoopWorkbench]:
-    """Open a workbench whose data have no outliers any more; its notes say what was left out.
+    """Open a workbench whose data have no outliers; its notes say what was left out.
 
-    Outputs of thinned records have none: each row is made of many samples, whose outliers were
-    looked for before, and one that stands alone is where the output moves fast.
+    First the declared model is fitted. Its residuals show single samples that differ from all their
+    neighbours (`isolated_outliers`). The search then uses copies of the experiments without these
+    samples. An output with too many outliers keeps all its samples. If the noise of an output grows
+    with its signal, each sample gets its own sigma (`growing_noise`).
 
-    The declared model is fitted as a search begins; its residuals show single samples that nothing
-    beside them explains (`isolated_outliers`). Copies of the experiments without them take the
-    place of those that were measured. Where an output has too many, it keeps them all. Of noise
-    that grows with the signal each sample is given its own, see `growing_noise`.
+    In the outputs of thinned records (`thinned`), no outliers are looked for. Each of their rows is
+    made of many samples, whose outliers were left out before. A single row that differs from its
+    neighbours shows only that the output changes fast there.
     """
     with open_workbench(request) as workbench:
         fitter = workbench.fitter
@@ -144,7 +149,7 @@ def _noted(scope: LoopScope, notes: Sequence[str]) -> LoopScope:
 
 
 def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
-    """Return the problem with copies of its experiments that lack these samples."""
+    """Return the problem with copies of its experiments without these samples."""
     masks = _masks(outliers)
 
     def change(e: int, output: Output) -> Output:
@@ -157,9 +162,9 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
 
 
 def without_stand_ins(problem: Problem) -> Problem:
-    """Return the problem without numbers that stand for no measurement, such as -9999.
+    """Return the problem without numbers that stand for a missing measurement, such as -9999.
 
-    A search that follows them finds nothing else.
+    A search that fits such numbers finds no effect.
     """
 
     def change(_: int, output: Output) -> Output:
@@ -171,9 +176,9 @@ def without_stand_ins(problem: Problem) -> Problem:
 
 
 def samples_left_out(measured: Problem, used: Problem) -> dict[str, dict[str, list[float]]]:
-    """Return times of the samples that one problem has and another has not, by record and output.
+    """Return the times of the samples that were measured but not used, by record and output.
 
-    They are what `left_out` of an experiment says.
+    The key `left_out` of an experiment takes these times.
     """
     found: dict[str, dict[str, list[float]]] = {}
     for run, kept in zip(measured.experiments, used.experiments, strict=True):
@@ -186,11 +191,11 @@ def samples_left_out(measured: Problem, used: Problem) -> dict[str, dict[str, li
 
 
 MOST_WRITTEN = 12
-"""Times of samples that a note writes out."""
+"""Largest number of times of samples in a note."""
 
 
 def left_out_sentence(left_out: Mapping[str, Mapping[str, Sequence[float]]]) -> tuple[str, ...]:
-    """Say which keys let a fit leave out the same samples; nothing where there are none."""
+    """Say with which keys a fit leaves out the same samples; nothing if none were left out."""
     if not left_out:
         return ()
     keys = [
@@ -200,15 +205,20 @@ def left_out_sentence(left_out: Mapping[str, Mapping[str, Sequence[float]]]) -> 
         for output, times in outputs.items()
     ]
     count = sum(len(times) for outputs in left_out.values() for times in outputs.values())
-    which = in_a_row(keys) if count <= MOST_WRITTEN else "what left_out of run.json lists"
-    return (f"for a fit to the same samples, add {which}",)
+    if count <= MOST_WRITTEN:
+        return (f"for a fit to the same samples, add {in_a_row(keys)}",)
+    return (
+        "for a fit to the same samples, add the key left_out to the experiments, with the times in "
+        "left_out of run.json",
+    )
 
 
 def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutput]:
-    """Return outliers in records that are about to be thinned, which a filter would spread.
+    """Return the outliers in records that will be thinned; the filter would spread them.
 
-    What is sampled that fast is smooth between its samples whatever the model is, so that the
-    measured signal itself takes the place of a residual. Just after jumps of inputs there are none.
+    Signals that are sampled so fast are smooth from sample to sample, whatever the model is. So the
+    outliers are looked for in the measured signal itself, not in a residual. Samples just after
+    jumps of inputs are never outliers.
     """
     found = []
     for held_out, role in ((False, "train"), (True, "test")):
@@ -234,7 +244,7 @@ def _by_output(signals: Mapping[Place, FloatArray]) -> dict[str, dict[int, Float
 
 
 def _noise_of_signals(signals: Sequence[FloatArray]) -> float:
-    """The noise of signals of one sensor, no less than what a simulation may get wrong."""
+    """Return the noise of one sensor's signals, at least the error that a simulation may have."""
     stacked = np.concatenate(signals)
     ends = np.cumsum([0, *map(len, signals)])
     records = tuple(
@@ -250,7 +260,7 @@ def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:
 
 
 def _kept(fitter: Fitter, outliers: Sequence[OutliersOfOutput]) -> Mask:
-    """The residuals that are no outliers."""
+    """Return which residuals are not outliers."""
     masks, records = _masks(outliers), fitter.records
     kept = np.ones(fitter.size, bool)
     for item in records.items:
@@ -281,7 +291,7 @@ def _outliers(
 
 
 def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
-    """The noise of each output, no less than what a simulation may get wrong."""
+    """Return the noise of each output, at least the error that a simulation may have."""
     signals = fitter.records.by_output(measured_values(fitter))
     ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
     noise = np.fmax(noise_of(fitter, fitted.residuals), EXACT * ranges)
@@ -291,10 +301,10 @@ def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
 def _in_records(
     signals: Mapping[int, FloatArray], jumps: Mapping[int, Mask], noise: float
 ) -> dict[int, IsolatedOutliers]:
-    """The outliers of one sensor; once it is known to have some, what is common needs less.
+    """Return the outliers of one sensor.
 
-    Where more of them stand just after jumps and pulses of inputs than chance puts there, those are
-    answers to these.
+    If more of them than expected by chance come just after jumps or pulses of inputs, those are
+    responses to the inputs, and not outliers.
     """
     found = _of_sensor(signals, {}, noise)
     count = sum(int(each.mask.sum()) for each in found.values())
@@ -308,7 +318,10 @@ def _in_records(
 def _of_sensor(
     signals: Mapping[int, FloatArray], excepted: Mapping[int, Mask], noise: float
 ) -> dict[int, IsolatedOutliers]:
-    """The outliers of one sensor, without some samples that are never any."""
+    """Return the outliers of one sensor; `excepted` samples never are outliers.
+
+    A sensor that is known to have outliers needs less evidence for each further one.
+    """
 
     def outliers(*, proven: bool) -> dict[int, IsolatedOutliers]:
         return {
@@ -322,7 +335,7 @@ def _of_sensor(
 
 
 def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
-    """Residuals of the held-out experiments, with what they alone have at its start."""
+    """Return the residuals of the held-out experiments, with their own parameters at the start."""
     tests = fitter.problem.indices("test")
     stage = LoopStage.DECLARED_MODEL.value
     outcomes = fitter.simulate(fitted.problem, tests, fitted.estimates, "trajectory", stage)
@@ -337,16 +350,16 @@ def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
 
 @dataclass(frozen=True)
 class GrowingNoise:
-    """An output whose noise is larger where its signal is.
+    """An output whose noise is larger where its signal is larger.
 
     Attributes
     ----------
     growth
-        By how much, in units of its residual.
+        How the noise depends on the signal, in units of the residual.
     sigma, relative_sigma
-        Of a sample, as in `Output`; NaN where they are not known.
+        Estimates of the two parts of the noise, as in `Output`; NaN if they are not known.
     weighted
-        Each sample takes its own; not where the user has given a sigma.
+        Each sample is weighted with its own sigma. False if the user has given a sigma.
     """
 
     output: str
@@ -357,25 +370,27 @@ class GrowingNoise:
 
     @property
     def sentence(self) -> str:
-        """Say how much it grows, and what becomes of it."""
+        """Say how much the noise grows, and how the samples are weighted."""
         growth, name = self.growth, self.output
-        times = f"{growth.loud / growth.quiet:.1f} times" if growth.quiet > 0.0 else "far above"
+        rise = (
+            f"by a factor of {growth.loud / growth.quiet:.1f}" if growth.quiet > 0.0 else "from 0"
+        )
         said = (
-            f"the noise of {name} grows with the signal: in the third of its samples with the "
-            f"largest values it is {times} that in the third with the smallest"
+            f"the noise of {name} grows with the signal: from the third of the samples with the "
+            f"smallest values to the third with the largest values, it increases {rise}"
         )
         both = f"{dotted('sigma', name)} = {self.sigma:.3g} and {dotted('relative_sigma', name)} = "
         both += f"{self.relative_sigma:.3g}"
         if self.weighted:
             return (
-                f"{said}, so each sample was weighted with a sigma of its own; for a fit "
-                f"with the same weights, write {both} into the experiments"
+                f"{said}, so each sample was weighted with its own sigma; for a fit with the same "
+                f"weights, write {both} into the experiments"
             )
-        said += ", and one sigma for all gives the noisier samples too much weight"
+        said += ", so with the same sigma for all samples, the noisier samples have too much weight"
         if np.isnan(self.sigma):
             larger = dotted("relative_sigma", name)
-            return f"{said}; give it a larger {larger} beside {dotted('sigma', name)}"
-        return f"{said}; about {both} would give each sample its own"
+            return f"{said}; set {larger} to a larger value, in addition to {dotted('sigma', name)}"
+        return f"{said}; suitable values are about {both}"
 
 
 def growing_noise(fitter: Fitter, fitted: FittedModel, kept: Mask) -> tuple[GrowingNoise, ...]:
@@ -397,7 +412,7 @@ def growing_noise(fitter: Fitter, fitted: FittedModel, kept: Mask) -> tuple[Grow
 
 
 def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Problem:
-    """Return the problem with a standard deviation for each sample of the outputs that need it."""
+    """Return the problem with a sigma for each sample of the outputs that are `weighted`."""
     own = {each.output: each for each in growing if each.weighted}
 
     def change(_: int, output: Output) -> Output:
@@ -410,5 +425,5 @@ def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Proble
 
 
 def _rounded(value: float) -> float:
-    """As it is written into a note, so that a fit with it has the same weights to the bit."""
+    """Round to the digits of the note, so that a fit with them has exactly the same weights."""
     return float(f"{value:.3g}")

@@ -1,4 +1,4 @@
-"""The noise of the outputs, from residuals and measured signals, and a residual beside it."""
+"""The noise of the outputs, estimated from residuals, and residuals compared with this noise."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from workers.messages import FloatArray
 
 
 def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
-    """Standard deviation of the noise of each output, in units of its residual: (outputs,).
+    """Return the standard deviation of each output's noise, in units of its residual: (outputs,).
 
-    Where all records of an output are too short to tell noise from misfit, it is the sigma that was
-    given for it: the whole residual counted as noise would hide what is missing. Of thinned records
-    it is no more than what was seen between the samples that their rows were made from: a residual
-    that is smooth there may not be from row to row. See `estimate_noise`.
+    If all records of an output are too short to distinguish noise from misfit, the given sigma is
+    returned. Otherwise the whole residual would count as noise and hide a missing effect. For
+    thinned records, the noise is at most the one that was seen between the samples from which their
+    rows were made: a residual that is smooth from sample to sample may vary from row to row. See
+    `estimate_noise`.
     """
     found = estimate_noise(residuals, fitter.records, measured_values(fitter))
     for number in range(len(found)):
@@ -33,7 +34,7 @@ def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
 
 
 def _seen_between_samples(fitter: Fitter) -> FloatArray:
-    """Noise of each output in units of the residual, where records are thinned; else NaN."""
+    """Return the noise between samples of thinned records, in units of the residual; else NaN."""
     names = fitter.records.outputs
     found = np.full(len(names), np.nan)
     for number, name in enumerate(names):
@@ -46,82 +47,83 @@ def _seen_between_samples(fitter: Fitter) -> FloatArray:
 
 
 def expected_noise(fitter: Fitter, residuals: FloatArray) -> FloatArray:
-    """Return the noise of each output as it is declared, else as `noise_of` estimates it."""
+    """Return the declared noise of each output, or without a sigma the estimate of `noise_of`."""
     if fitter.sigma_declared:
         return np.ones(len(fitter.records.outputs))
     return noise_of(fitter, residuals)
 
 
 def is_told(records: StackedRecords, output: int) -> bool:
-    """Return whether some record of an output is long enough to tell noise from misfit."""
+    """Return whether a record of an output is long enough to distinguish noise from misfit."""
     own = (record for record in records.items if record.output == output)
     return any(len(record.times) >= SHORTEST_NOISE_RECORD for record in own)
 
 
 def is_given(fitter: Fitter, output: int) -> bool:
-    """Return whether an output's sigma is not 1 throughout, as it is where none is given."""
+    """Return whether some sigma of an output is not 1, the default."""
     return bool(np.any(fitter.sigmas[fitter.records.of_output(output)] != 1.0))
 
 
 def measured_values(fitter: Fitter) -> FloatArray:
-    """Return what was measured over sigma, stacked like the residuals."""
+    """Return the measured values divided by sigma, stacked like the residuals."""
     parts = [o.values / o.sigmas for run in fitter.runs for o in run.outputs]
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
 ORDER = 5
-"""Lags at which partial autocorrelations are looked at."""
+"""Largest lag of the partial autocorrelations that are computed."""
 
 WHITE = 0.05
-"""Share of the squares that is left beside the white part where noise counts as white."""
+"""Largest mean square beyond the white part with which noise still counts as white."""
 
 WHITE_ERROR = 5.0
-"""Error of the squared white part, over itself, times the root of the number of samples."""
+"""Relative error of the squared white part, times the square root of the number of samples."""
 
 COLOURED_SHARE = 0.8
-"""Share of the variance above which the white part leaves no room for coloured noise: what is
-left beside it is then something else."""
+"""If the white part has more than this share of the variance, the rest of the residual is too small
+to be coloured noise, and is something else."""
 
 FIRST_ORDER = 0.1
-"""Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark."""
+"""Largest partial autocorrelation beyond lag 1 of first-order noise. Benchmark."""
 
 DRIFT = 0.95
-"""Correlation from one sample to the next above which a residual is a drift or an offset, and no
-noise of a sensor, which forgets within some twenty samples."""
+"""If the correlation from one sample to the next is above this value, a residual is a drift or an
+offset. The noise of a sensor is no longer correlated after about twenty samples."""
 
 CHANCE = float(ndtr(-2.0))
-"""Probability that noise of the declared sigma is larger than what still counts as within it: that
-of two standard errors."""
+"""Probability that noise of the declared sigma exceeds the limit up to which a residual counts as
+within sigma: the probability of more than two standard errors."""
 
 
 @dataclass(frozen=True)
 class OutputNoise:
-    """The residual of one output beside its noise, all in standard deviations that are declared.
+    """The residual of one output and its noise, both in units of the declared sigma.
 
-    Without a declared sigma they are in units of the estimated noise; where that is 0, what is left
-    is infinitely larger.
+    Without a declared sigma, the unit is the estimated noise. If that is 0, `level` is infinite.
 
     Attributes
     ----------
     level, white
-        Root mean square of the residual; estimated standard deviation of the part that is white.
+        Root mean square of the residual; estimated standard deviation of its white part.
     degrees
-        Of freedom of the square of `level`: few where the residual has a memory.
+        Degrees of freedom of the square of `level`. An autocorrelated residual has few.
     correlation
-        Of one sample with the next.
+        Correlation of one sample with the next.
     first_order
-        Nothing is seen beyond a first-order autoregression, as of a sensor's coloured noise. A
-        disturbance that goes through the model has a white floor beneath it, or is smoother.
+        The residual looks like a first-order autoregression, the usual coloured noise of a sensor.
+        A disturbance that acts through the model looks different: it is smoother, or white noise is
+        added to it.
     declared, given
-        The sigma is the user's; it is not 1 throughout, as it is where none is given.
+        Whether the user has declared a sigma; whether some sigma is not 1, the default.
     loud
-        Where experiments have sigmas of their own, the ids of those that alone are noisier than
-        twice theirs, if others are not.
+        If each experiment has its own sigma: the ids of the experiments with more than twice the
+        noise of their sigma. Empty if all experiments are such experiments.
     told
-        Some record is long enough for its noise to be told from what a model leaves; else `white`
-        is the sigma that is given, or the whole residual of the declared model.
+        Some record is long enough to distinguish its noise from the misfit. Otherwise `white` is
+        the given sigma, or the whole residual of the declared model.
     filtered
-        The residuals are innovations: their unit is what process noise and sigma explain together.
+        The residuals are innovations. Their unit is the spread that process noise and sigma
+        together explain.
     """
 
     output: str
@@ -139,43 +141,44 @@ class OutputNoise:
 
     @property
     def over(self) -> str:
-        """What its level is a multiple of."""
+        """The unit of `level`, in words."""
         if self.filtered:
-            return "spread that noise explains"
+            return "spread that noise alone explains"
         return "declared sigma" if self.declared else "noise"
 
     @property
     def named(self) -> str:
-        """Its name, with what its sigma may be but the user's."""
-        return self.output if self.given else f"{self.output} (1, the default)"
+        """The name of the output; it says so if sigma may be the default and not the user's."""
+        return self.output if self.given else f"{self.output} (sigma is 1, the default)"
 
     @property
     def sigma_too_small(self) -> bool:
-        """The white part alone is more than twice the sigma that is declared."""
+        """The white part alone is more than twice the declared sigma."""
         return self.declared and self.white > NOISY
 
     @property
     def sigma_too_large(self) -> bool:
-        """Everything that is left is less than half the sigma that is declared."""
+        """The whole residual is less than half the declared sigma."""
         return self.declared and self.level < SMALL_RMS_OVER_SIGMA
 
     @property
     def within(self) -> bool:
-        """It is no larger than noise of the declared sigma is by chance, and no drift."""
+        """The residual may be noise of the declared sigma: it is not larger, and not a drift."""
         return self.no_larger and not self.drifts
 
     @property
     def drifts(self) -> bool:
-        """It forgets too slowly for a sensor's own noise."""
+        """The residual is correlated over too many samples to be the noise of a sensor."""
         return self.correlation > DRIFT
 
     @property
     def no_larger(self) -> bool:
-        """It is no larger than noise of the declared sigma is by chance, however smooth.
+        """The residual is not larger than noise of the declared sigma, whether smooth or not.
 
-        What is slow in it may be as large as the white part leaves room for, and by chance larger
-        as a chi-squared number with as many degrees of freedom as the memory leaves
-        (`Autocorrelation.squares`). A residual is not judged by its own error, which grows with it.
+        The slow part of the residual may have the variance that remains of sigma squared after the
+        white part. By chance it may be larger, as a chi-squared variable with `degrees` degrees of
+        freedom; autocorrelation makes these fewer (`Autocorrelation.squares`). The residual's own
+        standard error is not used, because it grows with the residual.
         """
         if not self.declared:
             return False
@@ -186,12 +189,12 @@ class OutputNoise:
 
     @property
     def coloured(self) -> bool:
-        """A part of it is not white."""
+        """A part of the residual is not white."""
         return self.white**2 <= COLOURED_SHARE * self.level**2
 
     @property
     def like_noise(self) -> bool:
-        """It is white, or coloured as the noise of a sensor is."""
+        """The residual is white, or coloured like the noise of a sensor."""
         return self.first_order or self.level**2 - self.white**2 <= WHITE
 
     @property
@@ -203,7 +206,7 @@ class OutputNoise:
 def residual_noise(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[OutputNoise, ...]:
-    """Compare the residual of a fit with the noise of each output, (outputs,), in its units."""
+    """Compare the residual of a fit with each output's noise, (outputs,), in the same units."""
     found = [_of_output(fitter, fitted, *each) for each in enumerate(noise.tolist())]
     return tuple(each for each in found if each is not None)
 
@@ -211,7 +214,7 @@ def residual_noise(
 def _of_output(
     fitter: Fitter, fitted: FittedModel, number: int, noise: float
 ) -> OutputNoise | None:
-    """One output's residual beside its noise; None where nothing is left."""
+    """Compare one output's residual with its noise; None if the residual is 0."""
     records, declared = fitter.records, fitter.sigma_declared
     part = fitted.residuals[records.of_output(number)]
     own = [record for record in records.items if record.output == number]
@@ -245,8 +248,8 @@ def _of_output(
 def believed_noise(fitter: Fitter, outputs: Sequence[OutputNoise], noise: FloatArray) -> FloatArray:
     """Return the noise of each output, in units of the residual: (outputs,).
 
-    The declared sigma where the data do not contradict it, and what is left looks like noise that
-    large; else the estimate.
+    This is the declared sigma if the data do not contradict it and the residual looks like noise.
+    Otherwise it is the estimate.
     """
     believed = {each.output for each in outputs if each.believed and each.like_noise}
     pairs = zip(fitter.records.outputs, noise.tolist(), strict=True)
@@ -256,14 +259,15 @@ def believed_noise(fitter: Fitter, outputs: Sequence[OutputNoise], noise: FloatA
 def is_noise_of_sensors(
     outputs: Sequence[OutputNoise], *, near: float, largest: float, whitened: bool
 ) -> bool:
-    """Return whether what is left may be the noise of sensors, however coloured, and no more.
+    """Return whether the residual may be nothing but sensor noise, white or coloured.
 
-    It may reach `near` times the noise if an autoregression describes it, with which nothing is
-    left (`whitened`). Where no sigma is declared, it may reach `largest` times the estimate, which
-    sees the white part alone, and is too small by about 5 at a correlation of 0.93.
+    If an autoregression describes the residual completely (`whitened`), it may be up to `near`
+    times the noise. If no sigma is declared, it may be up to `largest` times the estimated noise.
+    This estimate contains only the white part: at a correlation of 0.93 it is about five times too
+    small.
     """
     for output in outputs:
-        if output.filtered:  # with the right process noise innovations are white
+        if output.filtered:  # if the process noise is right, innovations are white
             known = output.level**2 - output.white**2 <= WHITE
         elif output.believed:
             known = _within_declared(output, near)
@@ -290,8 +294,8 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     if short:
         said.append(
             f"the remaining error of {' and '.join(short)} is {from_to(short.values())} times the "
-            f"declared sigma; with records of fewer than {SHORTEST_NOISE_RECORD} samples, it "
-            "cannot be decided whether sigma is wrong or something is missing"
+            f"declared sigma; all records have fewer than {SHORTEST_NOISE_RECORD} samples, which "
+            "is too few to decide whether sigma is too small or the model lacks something"
         )
     if small:
         said.append(small_sigma(" and ".join(small), small.values()))
@@ -301,7 +305,7 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
 
 
 def _loud(fitter: Fitter, fitted: FittedModel, number: int) -> tuple[str, ...]:
-    """Experiments whose own sigma is too small for one output, where those of others are not."""
+    """Return the experiments whose sigma is too small for one output, unless all of them are."""
     records, sigmas = fitter.records, fitter.sigmas
     own = [r for r in records.items if r.output == number and len(r.times)]
     if len({float(sigmas[record.rows.start]) for record in own}) < 2:
@@ -315,6 +319,6 @@ def _loud(fitter: Fitter, fitted: FittedModel, number: int) -> tuple[str, ...]:
 
 
 def _within_declared(output: OutputNoise, near: float) -> bool:
-    """Return whether a sigma that is declared covers what is left."""
+    """Return whether the residual may be noise of the declared sigma."""
     white = output.level**2 - output.white**2 <= WHITE
     return white or output.within or (output.first_order and output.level <= near)

@@ -1,13 +1,13 @@
-"""The closed loop where noise acts on the states: passes of the search, each under held noise.
+"""The search for missing effects in a model with process noise: passes, each with fixed noise.
 
-1. Fit the declared model by prediction errors, with its noise.
-2. Hold that noise and search: the residuals are innovations over their standard deviations. They
-   are white and of variance 1 where that model is right: the residuals that all tests of the loop
-   are made for. What a missing effect leaves in them the noise has partly taken up; as the noise is
-   held too large then, a test sees less of it, but not what is not there.
-3. Fit the noise again with what was found, hold it, and search again from the declared model, until
-   the search finds the same.
-4. Compare both models with noise of their own, and report.
+1. Fit the declared model and its process noise by prediction errors.
+2. Fix this noise and search. The residuals are innovations over their standard deviations. If the
+   model is right, they are white with variance 1, as the tests of the search require. If an effect
+   is missing, the fitted noise explains a part of it and is too large. The tests then see less of
+   the effect, but they do not see effects that do not exist.
+3. Fit the noise again with the effects that were found, fix it, and search again from the declared
+   model, until the search finds the same effects again.
+4. Compare both models, each with its own fitted noise, and report.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ NOT_AGAIN = (
 
 
 def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
-    """Find what a model with process noise lacks, in a run that began at a time.
+    """Search for effects that a model with process noise lacks; `begin` is the start of the run.
 
     Raises
     ------
     ClusterEstError
-        If model, experiments and machine do not fit together, or the data cannot carry a search.
+        As `close_loop`.
     """
     check_noise_parameters(request.problem)
     with open_workbench(request) as workbench:

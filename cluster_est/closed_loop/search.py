@@ -1,12 +1,12 @@
-"""The search of a closed loop: the recipe, in which moves propose structures and gates refuse them.
+"""The search for missing effects: moves propose sets of effects, and gates refuse them.
 
     model = fit_declared(data)
-    while something is significant at the model:
+    while some candidate is significant:
         for each move: propose structures, choose the best that passes all gates
         if there is none: stop
-        model = the best, without effects that no longer pay
-    if the model leaves more than noise: try a free curve or filter in the place of all effects
-    model = the accepted one that predicts best what is left out of refits
+        model = the best, without effects that are no longer needed
+    if the model leaves more than noise: try a free curve or filter instead of all effects
+    model = the accepted one that best predicts data that are left out of refits
     judge the model
 
 It is stepwise forward selection with backward elimination (N. R. Draper, H. Smith, Applied
@@ -67,21 +67,22 @@ from workers.messages import Experiment, FloatArray, Outcome
 
 @dataclass(frozen=True)
 class SearchedModel:
-    """What a search has found, and how exact its simulations are.
+    """The result of a search, and the numerical error of its simulations.
 
     Attributes
     ----------
     ends
-        The answer and what the training experiments say of it; then the same of the answers that it
-        took the place of, the last one first: held-out experiments may veto it.
+        The possible answers, each with its verdict on the training experiments. If held-out
+        experiments contradict the first answer, the next one is used.
     error
-        Of the solver, at the declared model.
+        Numerical error of the solver with the declared model.
     error_at
-        The same at a model with effects, where that is another.
+        A function that returns the numerical error with another model.
     failures
-        Simulations that failed while effects were tried.
+        Number of simulations that failed while effects were tried.
     interpolation
-        An input that the measurements prefer to be interpolated otherwise.
+        An input that fits the measurements better with another interpolation; None if there is
+        none.
     """
 
     ends: list[tuple[SelectionResult, ReasonedVerdict]] = field(repr=False)
@@ -108,11 +109,12 @@ def search_for_effects(
     Parameters
     ----------
     resources
-        For the simulations with a finer solver.
+        Resources for the simulations with a finer solver setting.
     reached
-        Called after each round in which something was added, with all that was found so far.
+        Called after each round that added an effect, with the result so far.
     thinned
-        The samples of the inputs are not those that were measured.
+        Whether the records are thinned, so that the samples of the inputs are not the measured
+        ones.
     """
     fitter, settings = workbench.fitter, workbench.settings
     fitter.enter("the declared model")
@@ -142,10 +144,9 @@ def search_for_effects(
 def _record_faults(
     fitter: Fitter, base: FittedModel, resources: Resources
 ) -> tuple[RecordFault, ...]:
-    """Return what is wrong with the records, where that alone explains what the model leaves.
+    """Return faults of the records that alone explain the residual.
 
-    Where it is one record, nothing is missing in the model that the others show, and no effect is
-    looked for.
+    If a single record has a fault, the other records show no missing effect, so there is no search.
     """
     if fitter.predicts:
         return ()
@@ -165,9 +166,9 @@ def _record_faults(
 def _other_interpolation(
     fitter: Fitter, base: FittedModel, resources: Resources
 ) -> PreferredInterpolation | None:
-    """Return the input that the measurements prefer to be interpolated otherwise, if there is one.
+    """Return the input that fits better with another interpolation, if there is one.
 
-    What a wrong one leaves looks like a delay or a lag.
+    The error of a wrong interpolation looks like a delay or a lag.
     """
     if fitter.predicts:
         return None
@@ -189,10 +190,10 @@ def grow(
     numerical: Callable[[FittedModel], float],
     reached: Callable[[SelectionResult], None],
 ) -> SelectionResult:
-    """Add effects to the declared model while they earn it.
+    """Add effects to the declared model as long as they pass the gates.
 
-    `numerical` is the fall of the sum of squares that one effect more could owe to the error of the
-    solver at a fitted model.
+    For a fitted model, `numerical` returns the decrease of the sum of squares that the numerical
+    error of the solver could cause.
     """
     log = SearchLog.begun(fitter, settings, base)
     now = AcceptedStructure(base, log.predicted)
@@ -249,10 +250,11 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
 
 
 def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, ReasonedVerdict]:
-    """Judge what was found; a function of time is an effect only where it leaves noise.
+    """Judge the result; functions of time are kept only if no more than noise is left.
 
-    A drift or a wave in time follows the slow part of whatever disturbs an experiment: it closes
-    most of the gap to the noise, and predicts what was left out, without being what is missing.
+    A drift or a sinusoid in time can follow the slow part of any disturbance. It may then close
+    most of the gap to the noise and predict data that were left out, without being the missing
+    effect.
     """
     gone = [c for c in found.current.added if c.form.of_time_alone]
     judged = judge(fitter, found)
@@ -270,10 +272,10 @@ def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, Re
 
 @dataclass
 class SearchLog:
-    """The log of a search: its rounds, how far candidates came, and the structures compared.
+    """The log of a search: its rounds, its candidates, and the structures that it compared.
 
-    It becomes the `SelectionResult`. `predicted` is of the declared model, and `floor` the sum of
-    squares that the noise alone would leave.
+    The `SelectionResult` is made from it. `predicted` is the prediction of the declared model, and
+    `floor` is the sum of squares that the noise alone would leave.
     """
 
     fitter: Fitter
@@ -289,13 +291,13 @@ class SearchLog:
 
     @classmethod
     def begun(cls, fitter: Fitter, settings: LoopSettings, base: FittedModel) -> SearchLog:
-        """Begin at the declared model."""
+        """Return the log of a search that begins with the declared model."""
         noise = noise_of(fitter, base.residuals)
         floor = fitter.noise_floor(noise)
         return cls(fitter, settings, base, predict(fitter, base), noise, floor)
 
     def note(self, now: AcceptedStructure, begun: RoundStart, end: RoundEnd) -> None:
-        """Note what a round has looked at, and where it began."""
+        """Add a round, and the structure with which it began."""
         self.keep(now)
         seen = replace(end.seen, screening=end.seen.screening.without_directions())
         self.rounds.append(seen)
@@ -304,17 +306,17 @@ class SearchLog:
         self.path += compared_structures(records, self.base, end, self.floor, number)
 
     def keep(self, structure: AcceptedStructure) -> None:
-        """Keep a structure, which may be the answer."""
+        """Add an accepted structure, which may be the answer."""
         self.accepted.append(replace(structure, rounds=len(self.rounds)))
 
     def accept(self, fitted: FittedModel, move: LoopPart | None) -> None:
-        """Note a structure that takes the place of one that was compared."""
+        """Add an accepted structure that replaces a compared one."""
         records, number = self.fitter.records, len(self.rounds)
         row = compared_structure(records, self.base, fitted, self.floor, number, move or "")
         self.path.append(row)
 
     def accept_single(self, end: RoundEnd) -> AcceptedStructure:
-        """Note that the single effect which has won takes the place of all."""
+        """Add the single effect that replaces all effects."""
         won, prediction = end.won, end.prediction
         assert won is not None
         assert prediction is not None
@@ -326,7 +328,7 @@ class SearchLog:
         return AcceptedStructure(won.fitted, prediction, rivals)
 
     def result(self, now: AcceptedStructure) -> SelectionResult:
-        """Return all that was found so far."""
+        """Return the result so far."""
         return SelectionResult(
             self.base, now.model, self.predicted, now.prediction, now.rivals, tuple(self.rounds),
             tuple(self.seen), self.noise, self.settings, tuple(self.path), tuple(self.accepted),
@@ -338,7 +340,7 @@ def _screened(
     now: AcceptedStructure,
     numerical: Callable[[FittedModel], float],
 ) -> RoundStart:
-    """Begin a round: compare all candidates with what the accepted structure leaves."""
+    """Begin a round: compare all candidates with the residual of the accepted structure."""
     fitter, settings = log.fitter, log.settings
     found, most = len(now.model.added), settings.max_effects
     which = f"effect {found + 1} of at most {most}" if found < most else "what is left"

@@ -1,10 +1,11 @@
-"""Parts of long records that effects are looked for in, chosen by what the declared model leaves.
+"""Parts of long records for a search, chosen by the residual of the declared model.
 
-A thinned record of many hundreds of time constants says more than a search needs, and each trial
-would simulate all of it. So a search sees a part: the first, or where the declared model, fitted to
-all of the record, errs more. A part that begins later has initial states of its own. What is lost
-is power, as the root of the samples; what acts elsewhere alone shows in the residual of all rows
-that the search's model leaves, and then the search is done on whole records.
+A thinned record of many hundreds of time constants contains more information than a search needs,
+and each trial would simulate all of it. So a search uses a part of the record: the first part, or a
+part in which the declared model, fitted to the whole record, has a larger error. A part that begins
+later has its own initial states. Statistical power is lost, in proportion to the square root of the
+samples. An effect that acts only in other parts shows in the residual of the whole records; then
+the search is repeated with the whole records.
 """
 
 from __future__ import annotations
@@ -28,25 +29,27 @@ from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, rows_of
 from workers.messages import Experiment, FloatArray, IntArray, OwnStart
 
 WORSE_THERE = 2.0
-"""Times the misfit of the first part that another has where it is taken: it takes unknown initial
-states."""
+"""Least misfit of another part, over the misfit of the first part, to be used instead of it:
+another part has unknown initial states."""
 
 BY_CHANCE = 4.0
-"""Standard errors of a sum of squares of noise, below which it is no misfit."""
+"""If a sum of squares exceeds that of noise by less than this number of standard errors, it is no
+misfit."""
 
 INFORMED = 0.2
-"""Share of the information on each unknown, or combination of some, that windows have at least,
-over their share of the rows."""
+"""Least share of the information on any combination of unknowns that windows contain, over their
+share of the rows."""
 
 FEWEST_SAMPLES = 30
-"""Rows that a window has at least of each output that its record has."""
+"""Least number of rows in a window, for each output of its record."""
 
 TOLD = 1e-10
-"""Singular value over the largest, below which a combination of unknowns changes nothing."""
+"""If its singular value over the largest one is below this, a combination of unknowns has no
+effect."""
 
 SAME = 0.3
-"""Times the noise by which a window may differ from its record in what the declared model leaves,
-as a root mean square."""
+"""Largest difference between the residuals of the declared model in a window and in the whole
+record, as a root mean square over the noise."""
 
 
 @dataclass(frozen=True)
@@ -80,28 +83,28 @@ class Window:
 
     @property
     def place(self) -> str:
-        """Where it is."""
+        """The record and the times of the window, in words."""
         return f"{self.experiment.id!r} from {self.start:.4g} to {self.stop:.4g} s"
 
 
 @dataclass(frozen=True)
 class SearchWindows:
-    """A problem whose longest training records are parts of what they were.
+    """A problem in which windows replace the longest training records.
 
     Attributes
     ----------
     whole
-        With these records as they were, and as many experiments.
+        The problem with the whole records.
     problem
-        What is searched in.
+        The problem with the windows, which the search uses.
     windows
-        The parts.
+        The windows.
     made
-        Names of the parameters that stand for initial states of parts alone.
+        Names of the parameters that are initial states of windows; `whole` does not have them.
     rows
-        Of the residuals of `whole` that `problem` has.
+        Rows of the residuals of `whole` that `problem` has too.
     fitted
-        The declared model, fitted to whole records.
+        The declared model, fitted to the whole records.
     """
 
     whole: Problem = field(repr=False)
@@ -113,7 +116,7 @@ class SearchWindows:
 
     @property
     def sentence(self) -> str:
-        """Say which parts were searched in."""
+        """Say which parts of the records the search used."""
         late = [window.place for window in self.windows if not window.leads]
         lengths = [window.stop - window.start for window in self.windows]
         low, high = (f"{length:.3g}" for length in (min(lengths), max(lengths)))
@@ -129,42 +132,43 @@ class SearchWindows:
         )
 
     def unlike_records(self, fitter: Fitter) -> str:
-        """Say that the declared model leaves something else in the windows than in whole records.
+        """Say why the declared model has other residuals in the windows than in whole records.
 
-        It does where initial states cannot be set, or where something is remembered for long.
+        This happens if initial states cannot be set, or if the model has a long memory.
 
         Parameters
         ----------
         fitter
-            Of the windows.
+            Fitter of the problem with windows.
 
         Returns
         -------
         str
-            "" if it leaves the same.
+            "" if the residuals are the same.
         """
         space = fitter.space(FitStart(self.problem, self.fitted.estimates))
         ((at,),) = fitter.evaluate(LoopStage.DECLARED_MODEL, [(space, space.start[None])])
         if not at.ok:
-            return "the declared model cannot be simulated from their beginning"
+            return "the declared model cannot be simulated from the beginning of a part"
         noise = noise_of(fitter, at.residuals)
         off = at.residuals - self.fitted.residuals[self.rows]
         sizes = [(item.output, _root_mean_square(off[item.rows])) for item in fitter.records.items]
         if all(size <= SAME * noise[output] for output, size in sizes):
             return ""
-        return "the declared model does not continue correctly from their beginning"
+        return "the declared model does not continue correctly from the beginning of a part"
 
     def on_whole_records(self, fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
-        """Return models of the search, to be fitted to whole records from where they stand.
+        """Return the models of the search as starts for fits to the whole records.
 
-        The declared one starts where it was fitted to these before, unless the search is better.
+        For the declared model, the better of two starts is used: its values from the search, and
+        those of an earlier fit to the whole records.
 
         Parameters
         ----------
         fitter
-            Of whole records.
+            Fitter of the problem with whole records.
         starts
-            The declared one first.
+            Models of the search; the first is the declared model.
         """
         moved = [self._on_whole_records(start) for start in starts]
         declared = [moved[0], replace(moved[0], values=self.fitted.estimates)]
@@ -183,17 +187,17 @@ class SearchWindows:
         return replace(start, problem=problem, values={**self.fitted.estimates, **start.values})
 
     def missed(self, fitter: Fitter, fitted: FittedModel | None) -> str:
-        """Say where a model leaves more in whole records than in the windows; "" if nowhere.
+        """Say where a model has a larger error than in the windows; "" if nowhere.
 
         Parameters
         ----------
         fitter
-            Of whole records.
+            Fitter of the problem with whole records.
         fitted
-            A model, fitted to them; None if it cannot be simulated.
+            A model, fitted to the whole records; None if it cannot be simulated.
         """
         if fitted is None:
-            return "the model that was found there cannot be simulated in them"
+            return "the model that was found in the parts cannot be simulated over whole records"
         left = _Misfit.of(fitter, fitted)
         inside = max(left.within(window.rows) for window in self.windows)
         for window in self.windows:
@@ -201,7 +205,8 @@ class SearchWindows:
             misfits = [left.within(other.rows) for other in others]
             worst = int(np.argmax(misfits))
             if misfits[worst] > WORSE_THERE * inside:
-                return f"the model that was found there leaves more error in {others[worst].place}"
+                where = others[worst].place
+                return f"the model that was found in the parts leaves more error in {where}"
         return ""
 
 

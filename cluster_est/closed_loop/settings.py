@@ -1,4 +1,4 @@
-"""The settings of a closed loop, and the names of its stages and of its candidates'."""
+"""The settings of a search for missing effects, and the names of its stages and parts."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from workers.fmu.description import nearest
 
 
 class LoopStage(enum.Enum):
-    """A stage of a closed loop; its value is the name of its searches in the log.
+    """A stage of the run; its value is the name of its parameter searches in the log.
 
-    `running.progress_line.SEARCH_TITLES` has a text for people for each. The final fits have
-    searches of their own beside "final", such as "before" and "after".
+    `running.progress_line.SEARCH_TITLES` has a title for each stage. In addition to "final", the
+    last fits have parameter searches with other names, such as "before" and "after".
     """
 
     WEIGHTS = "weights"
@@ -36,10 +36,10 @@ class LoopStage(enum.Enum):
 
 
 class CandidateStage(enum.StrEnum):
-    """The stage that a candidate reached; a member's text is what findings.parquet carries."""
+    """The last stage that a candidate reached, with its text in findings.parquet."""
 
     SET_ASIDE = "set aside"
-    """The declared parameters confound it."""
+    """The declared parameters can imitate the candidate."""
     SCREENED = "screened"
     REFITTED = "refitted"
     ACCEPTED = "accepted"
@@ -54,9 +54,9 @@ def _sites(given: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class LoopPart(enum.StrEnum):
-    """A part of the search that can be taken out alone: a move, a gate, or what moves share.
+    """A part of the search that can be left out: a move, a gate, or a part that moves share.
 
-    Moves propose structures (`selection/moves.py`), gates refuse them (`selection/gates.py`).
+    Moves propose structures (`selection/moves.py`). Gates refuse them (`selection/gates.py`).
     """
 
     ADD = "add"
@@ -99,7 +99,7 @@ def _parts(given: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class LoopSettings(Settings):
-    """The size of the search, and the level of evidence that it asks for."""
+    """The size of the search, and the evidence that it requires for an effect."""
 
     section: ClassVar[str] = "closed_loop"
     also: ClassVar[Mapping[str, str]] = {"forms": "effects"}

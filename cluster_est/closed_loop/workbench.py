@@ -1,4 +1,4 @@
-"""The workbench of a closed loop: opened on workers, and checked; what is known before a search."""
+"""The workbench of a search: checks of the problem, workers, and notes before the search."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from workers.messages.checks import check_kind, check_number
 
 @dataclass(frozen=True)
 class LoopScope:
-    """What a report says of a loop, whatever is found: the open sites, and notes for the reader."""
+    """Facts that a report shows whatever the search finds: the open sites, and notes."""
 
     sites: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -51,14 +51,14 @@ class LoopScope:
 
 @dataclass(frozen=True)
 class LoopWorkbench:
-    """A loop that is open, for its recipe: what the recipe calls is given what it needs.
+    """Everything that the steps of a search need: a fitter with running workers, and the settings.
 
     Attributes
     ----------
     first_fit
-        The declared model from the user's start, where that was needed before.
+        The declared model, fitted from the user's start; None if that was not needed before.
     near
-        Where a fit to data that had outliers ended; empty if there is none.
+        The estimates of a fit to the data with outliers; empty if there was none.
     """
 
     fitter: Fitter
@@ -69,23 +69,23 @@ class LoopWorkbench:
 
 
 SAMPLES_PER_UNKNOWN = 4
-"""Measured values for each unknown that a loop needs. Benchmark."""
+"""Least number of measured values for each unknown. Benchmark."""
 
 
 @dataclass(frozen=True)
 class LoopRequest:
-    """A closed loop, or a part of one, that is to be run.
+    """The arguments of a search for missing effects, or of a part of one.
 
     Attributes
     ----------
     environment
-        Workers, budget, and who is told of the simulations.
+        Workers, budget, and the listener that is told of the simulations.
     rows
-        That are left of each long record while effects are looked for; None for all.
+        Number of rows to which long records are thinned during the search; None for all rows.
     noise_of_samples
-        As far as thinned records are known to have it, by output.
+        By output, the noise between the samples of thinned records, as far as it is known.
     sigma_declared
-        The user has given a sigma; None where that is so if the problem has one.
+        Whether the user has given a sigma. None: the user has, if some output has a sigma.
     """
 
     problem: Problem
@@ -98,12 +98,12 @@ class LoopRequest:
 
 
 def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None:
-    """Refuse what no config would be allowed to ask for.
+    """Refuse arguments that a config could not contain either.
 
     Raises
     ------
     ProblemError
-        If something is of the wrong kind or out of its range.
+        If an argument has the wrong type or is out of its range.
     """
     check_problem(problem)
     check_kind(settings, LoopSettings, "closed_loop", ProblemError)
@@ -114,8 +114,8 @@ def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None
 def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """Start the workers and install the experiments with their synthetic copies.
 
-    Where several outputs have no sigma, a first fit gives each its own from its noise, or one
-    output's unit would decide what is found.
+    If there are several outputs and none has a sigma, a first fit gives each output a sigma from
+    its noise. Otherwise the units of the outputs would decide what is found.
     """
     problem = request.problem
     description = problem.describe()
@@ -144,7 +144,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
 
 @contextmanager
 def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fitter]:
-    """What fits models of a problem as it is."""
+    """Start workers for a problem, and yield a fitter of its models."""
     problem = request.problem
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
@@ -175,29 +175,31 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
 
 
 def _check_shape(problem: Problem) -> None:
-    """Refuse a problem that the tests are not made for, or with too few data."""
+    """Refuse a problem to which the statistical tests do not apply, or with too few data."""
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            "closed loop: the cost must be sse, all outputs must be measured over time, and there "
-            "must be no constraints, because the tests of the closed loop are made for this; "
-            "remove what differs, and use it in a fit before or after the closed loop"
+            "close-loop: the cost must be sse, all outputs must be measured over time, and there "
+            "must be no constraints, because the tests of the search for missing effects need "
+            "this, but the problem has another cost, other outputs or constraints; remove them, "
+            "or use them only in a fit before or after the search"
         )
     for experiment in problem.experiments:
         for output in experiment.outputs:
             if not output.is_plain:
                 raise ProblemError(
-                    f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
-                    f"compared directly but has {NOT_PLAIN}; the tests of the closed loop need "
-                    "residuals that are plain differences, so only a scale that all experiments "
-                    'share (free_scale = "shared") is allowed'
+                    f"close-loop: experiment {experiment.id!r}: output {output.variable} must be "
+                    f"compared directly with the simulation, but it has {NOT_PLAIN}; the tests of "
+                    "the search for missing effects need residuals that are plain differences; "
+                    "remove these keys (a scale that all experiments share, free_scale = "
+                    '"shared", is allowed)'
                 )
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(
-                f"closed loop: {dotted('parameters', parameter.name)}.prior must be left out, "
-                "because the tests of the closed loop treat all residuals as residuals "
-                "of measurements; remove the prior, and use it in a fit with the effects that were "
-                "found"
+                f"close-loop: {dotted('parameters', parameter.name)}.prior must be left out, "
+                "because the tests of the search for missing effects treat all residuals as "
+                "residuals of measurements; remove the prior, or use it only in a later fit with "
+                "the effects that were found"
             )
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)
@@ -205,14 +207,14 @@ def _check_shape(problem: Problem) -> None:
     least = SAMPLES_PER_UNKNOWN * (train.size + 1)
     if samples < least:
         raise ProblemError(
-            f"closed loop: the training experiments must have at least {least} measured values to "
-            f"distinguish a missing effect from {train.size} parameters but have {samples}; add "
-            "data or fix parameters"
+            f"close-loop: the training experiments must have at least {least} measured values, so "
+            f"that a missing effect can be distinguished from {train.size} parameters, but they "
+            f"have {samples}; add data or fix parameters"
         )
 
 
 def _check_choices(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
-    """Refuse forms and sites that there are not."""
+    """Refuse unknown forms, and sites at which no effect can act."""
     known = sorted({name for _, name in FORMS})
     for name in settings.forms:
         if name not in known:
@@ -224,15 +226,15 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
     if outputs and noise_names(problem):
         raise ProblemError(
             f"closed_loop.sites: {outputs[0]!r} cannot be used with process noise, because a "
-            "Kalman filter uses measured values unchanged; leave one of the two out"
+            "Kalman filter uses measured values unchanged; remove this site or the process noise"
         )
     closed = {f"parameter {name}" for name in _closed_parameters(problem, description)}
     for site in settings.sites:
         if site in closed:
             raise ProblemError(
                 f"closed_loop.sites: {site!r} cannot be used, because {description.file} does not "
-                "allow it to change during a simulation; export it with variability tunable, or "
-                "leave it out"
+                "allow this parameter to change during a simulation; export the FMU with "
+                "variability tunable for this parameter, or remove the site"
             )
         if site not in offered:
             raise ProblemError(
@@ -243,8 +245,8 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
     if settings.forms and not any((kind, f) in FORMS for kind in kinds for f in settings.forms):
         raise ProblemError(
             "closed_loop.effects: must name a form for one of the sites, but none of "
-            f"{', '.join(settings.forms)} can act at {' or '.join(sorted(kinds))} sites; change "
-            "closed_loop.effects or closed_loop.sites"
+            f"{', '.join(settings.forms)} can act at sites of the kind "
+            f"{' or '.join(sorted(kinds))}; change closed_loop.effects or closed_loop.sites"
         )
 
 
@@ -267,9 +269,8 @@ def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
     silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
     but = f", except {' and '.join(silent)}, whose noise is not known" if silent else ""
     return (
-        "no sigma was given for several outputs, so each was weighted with its estimated noise"
-        f"{but}; "
-        f"write sigma = {{ {pairs} }} into the experiments for a fit with the same weights"
+        f"the outputs have no sigma, so each output was weighted with its estimated noise{but}; "
+        f"for a fit with the same weights, write sigma = {{ {pairs} }} into the experiments"
     )
 
 
@@ -279,15 +280,15 @@ def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     pairs += [EffectSite("pair", *reversed(site.targets)) for site in pairs]
     measured = {output.variable for e in problem.experiments for output in e.outputs}
     sites = open_sites(description, interface, measured)
-    if noise_names(problem):  # beside a filter nothing acts on what is measured
+    if noise_names(problem):  # a Kalman filter uses measured values unchanged
         sites = [site for site in sites if site.kind != "output"]
     return tuple(str(site) for site in [*sites, *pairs])
 
 
 def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
-    """Return the estimated parameters that the FMU does not allow to change while it runs.
+    """Return the estimated parameters that the FMU does not allow to change during a simulation.
 
-    No effect can act there: a parameter that varies with a state, an input or time stays unseen.
+    No effect can act on them, so the search cannot find that such a parameter varies.
     """
     known = description.variables
     targets = dict.fromkeys(p.target for p in problem.parameters if not p.fixed)
@@ -299,7 +300,7 @@ def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple
 
 
 def _short_notes(fitter: Fitter) -> tuple[str, ...]:
-    """Name the outputs whose records are all too short to estimate a noise that is not given."""
+    """Name the outputs whose records are all too short to estimate their noise."""
     records = fitter.records
     short = [
         name
@@ -309,9 +310,10 @@ def _short_notes(fitter: Fitter) -> tuple[str, ...]:
     if not short:
         return ()
     return (
-        f"no record of {', '.join(short)} has {SHORTEST_NOISE_RECORD} samples, so its noise "
-        "cannot be distinguished from missing effects: the whole residual of the declared model "
-        "counts as noise, and errors over it have no meaning; give sigma",
+        f"all records of {' and '.join(short)} have fewer than {SHORTEST_NOISE_RECORD} samples, so "
+        "their noise cannot be distinguished from missing effects: the whole residual of the "
+        "declared model counts as noise, and errors divided by this noise have no meaning; give a "
+        "sigma",
     )
 
 
@@ -319,25 +321,25 @@ def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     notes = [*silent_notes(problem, description), *problem.notes()]
     closed = _closed_parameters(problem, description)
     if closed:
+        named = f"parameter{'s' if len(closed) > 1 else ''} {' and '.join(closed)}"
         notes.append(
-            f"closed to effects: {', '.join(closed)}, because {description.file} does not allow "
-            f"{'it' if len(closed) == 1 else 'them'} to change while it runs; something missing "
-            "that makes such a parameter vary cannot be seen as that; export with variability "
-            "tunable to open the site"
+            f"no effect can act on the {named}, because {description.file} does not allow a change "
+            "during a simulation; if such a parameter varies in reality, the search cannot find "
+            "this; to make it possible, export the FMU with variability tunable for the parameter"
         )
     if not problem.indices("test"):
         notes.append(
-            'no experiment has role = "test": no held-out data could contradict the finding, and '
-            "the errors are from the data that led to it"
+            'no experiment has role = "test", so the result was not checked on held-out data: all '
+            "errors are those of the data that the search used"
         )
     if len(problem.indices("train")) == 1:
         notes.append(
-            "there is only one training experiment: for cross-validation, quarters of its record "
-            "were predicted from the rest"
+            "there is only one training experiment, so cross-validation predicts each quarter of "
+            "its record from the other three quarters"
         )
     if problem.model.interface == "co_simulation":
         notes.append(
-            "co-simulation: state derivatives are not accessible; an effect inside the model can "
-            "only appear at an input, an output or a parameter"
+            "in co-simulation, state derivatives are not accessible, so an effect inside the model "
+            "can only be found at an input, an output or a parameter"
         )
     return tuple(notes)

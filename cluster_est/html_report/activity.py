@@ -84,7 +84,7 @@ class LogTail:
 
 KINDS_OF_FAILURE = 200
 BREAK_SECONDS, BREAK_SHARE = 60.0, 0.05
-"""A break is longer than both: this, and this share of the whole."""
+"""A break is longer than this number of seconds, and than this share of the whole time."""
 NUMBER_IN_MESSAGE = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -129,7 +129,7 @@ class LogActivity:
 
 
 class FailureCounts:
-    """Counts failures by what is said of them, batch after batch."""
+    """Counts failures by their messages, batch after batch."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], tuple[int, int, str, dict[str, None]]] = {}
@@ -223,7 +223,7 @@ class ActivityTail:
 
 
 def without_breaks(activity: LogActivity) -> tuple[LogActivity, float]:
-    """Take out long breaks of all workers, as there are before a run is taken up again.
+    """Remove long breaks in which no worker was busy, such as the break before a run is resumed.
 
     Returns
     -------

@@ -21,7 +21,7 @@ from cluster_est.html_report.scales import PLOT_UNITS, Scale
 from workers.messages import FloatArray, IntArray
 
 LARGEST_COORDINATE = 100 * PLOT_UNITS
-"""Places beyond this are cut off: a browser draws them in single precision."""
+"""Larger coordinates are cut off, because a browser draws them in single precision."""
 
 
 def whole_places(x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -70,7 +70,7 @@ def box_paths(corners: Iterable[Sequence[float]]) -> str:
 
 
 def _joined(numbers: Iterable[int]) -> str:
-    """Numbers with a space between, where there is no sign to tell them apart."""
+    """Join numbers, with a space where no sign separates them."""
     return " ".join(map(str, numbers)).replace(" -", "-")
 
 
@@ -236,9 +236,9 @@ class Cells(Mark):
 
 
 PIXELS_A_TICK, PIXELS_A_TEXT = 40, 17
-"""Height of a plot for each value that is written beside it: about, and at least."""
+"""Height of a plot for each value at its side: usual, and least, in pixels."""
 MOST_SIGNS = 70
-"""Signs of the numbers below a plot, and two for the space after each: more would run together."""
+"""Largest number of characters below a plot, with two for the space after each number."""
 
 PLOT = Markup(
     '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}"{called}>{label}{beside}'
@@ -247,7 +247,7 @@ PLOT = Markup(
 )
 CHART = Markup('<div class="chart{classes}"{gutter}{record}>{legend}{plots}{under}</div>')
 USUAL_GUTTER = 56
-"""Pixels at the left of a plot for the numbers there, where they are short."""
+"""Usual width for the numbers at the left of a plot, in pixels."""
 
 
 @final

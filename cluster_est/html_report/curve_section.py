@@ -86,18 +86,18 @@ FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART = 20, 600
 """Limits of the columns of a chart, each with the lowest and the highest sample of every curve."""
 MOST_CURVE_PANELS = 250
 MOST_INPUTS = 3
-"""Inputs that are drawn above an output."""
+"""Largest number of inputs that are drawn above an output."""
 FEW_SAMPLES = 150
-"""Number of measured values up to which they are dots."""
+"""Largest number of measured values that are drawn as dots."""
 CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))
 """Names and inks."""
 INPUT_HEIGHT, HEIGHT, RESIDUAL_HEIGHT = 44, 170, 84
 LEAD_HEIGHT, LEAD_RESIDUAL_HEIGHT = 180, 90
-"""The same of the charts at the head of the page."""
+"""The same heights, for the charts at the head of the page."""
 MOST_BEFORE = 3.0
-"""Heights of the other curves that the one before may make a plot higher; beyond, it is cut off."""
+"""Largest height of the curve before, over that of the other curves; the rest is cut off."""
 LIMITS_OF_NOISE = 2.0
-"""Times the noise at which lines stand beside a residual."""
+"""Distance of the dashed lines from 0 in a plot of residuals, over the noise."""
 RESIDUAL = "residual"
 
 

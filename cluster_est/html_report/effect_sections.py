@@ -39,7 +39,7 @@ from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from workers.messages import FloatArray
 
 BAND_MARGIN = 1.5
-"""Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
+"""Largest distance of a band from its curve, over the height of the curve: a wide band hides it."""
 EVIDENCE = (
     "The dots are estimates at a few points, from the residuals alone and without an assumed form; "
     "their error bars are 95 % intervals. The line is the fitted effect. If the dots lie on the "
@@ -89,7 +89,7 @@ def shape_figure(row: Row, number: int) -> FigureBlock:
 
 
 def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], FloatArray]:
-    """What the residuals ask for without a form, if the run has that, and its ends."""
+    """Return the estimates from the residuals alone, with their error bars, if the run has them."""
     at, free, error = (
         np.array(row.get(name) or (), float) for name in ("free_x", "free_y", "free_error")
     )
@@ -285,7 +285,7 @@ def _compared(run: ReportedRun) -> list[Block]:
 
 
 def _end(row: Row) -> str:
-    """Why a set of effects was not accepted; nothing where another one was better."""
+    """Say why a set of effects was not accepted; nothing if another set was better."""
     if row["stopped_by"]:
         return f"stopped by: {row['stopped_by']}"
     return "" if row["converged"] else "fell behind"

@@ -34,7 +34,7 @@ from cluster_est.html_report.reported_run import ReportedRun, Row
 from cluster_est.html_report.scales import Scale
 
 MOST_EXPERIMENT_ROWS = 24
-"""Rows of the picture that are one output of one experiment each; else each is of an output."""
+"""Largest number of rows with one output of one experiment each; otherwise a row is an output."""
 ROW_PIXELS = 22
 FitStage = Literal["before", "after"]
 
@@ -131,7 +131,7 @@ def _noise(output: Mapping[str, Any] | None) -> float:
 
 
 def error_sentence(run: ReportedRun) -> str:
-    """How the error went, against the noise, on training and on held-out experiments."""
+    """Compare the errors before and after with the noise, on training and held-out experiments."""
     sizes = error_sizes(run)
     parts: list[str] = []
     last = ""
@@ -204,7 +204,7 @@ def _known(sizes: ErrorSizes, chosen: Sequence[int]) -> bool:
 
 ROLES = {"train": "training", "test": "held out"}
 MOST_UNFOLDED_ROWS = 24
-"""Rows of the table by experiment that are not folded."""
+"""Largest number of rows with which the table by experiment is not folded."""
 
 
 MOST_OUTPUT_ROWS = 6
@@ -231,7 +231,7 @@ def error_table(run: ReportedRun) -> list[Block]:
 
 
 def _or_largest(size: float) -> float:
-    """Take an error that is not known for the largest: its simulation failed."""
+    """Return an error; infinity if its simulation failed."""
     return math.inf if math.isnan(size) else size
 
 

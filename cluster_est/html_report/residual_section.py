@@ -34,7 +34,7 @@ from cluster_est.statistics.residual_tests import lagged_products
 from workers.messages import FloatArray
 
 MOST_OUTPUTS = 4
-"""Outputs that are looked at: those with the largest residuals over their noise."""
+"""Largest number of outputs in the section: those with the largest residuals over their noise."""
 FEWEST_SAMPLES = 20
 MOST_LAGS, FEWEST_LAGS = 2000, 20
 DRAWN_LAGS = 100
@@ -43,7 +43,7 @@ MOST_DOTS, MEANS, BINS = 300, 16, 30
 MOST_VARIABLES = 4
 """Inputs that residuals are drawn over, and states: of these the ones over which they bend most."""
 ALIKE = 0.9999
-"""Correlation above which a state is not drawn: it is the output, its rate or an input."""
+"""If its correlation with the output, its rate or an input is above this, a state is not drawn."""
 COVERED = 1.96
 HEIGHT = 130
 NOTE = (
@@ -142,7 +142,7 @@ def _histogram(id_: str, rest: list[FloatArray], label: str) -> FigureBlock:
 
 
 Variable = tuple[str, str, list[FloatArray]]
-"""What it is called, with its unit, and its values beside the residuals of each record."""
+"""Its name, its unit, and its values at the residuals of each record."""
 
 
 def _variables(name: str, unit: str, records: list[OutputCurves]) -> list[Variable]:

@@ -15,12 +15,13 @@ PLOT_UNITS = 10_000
 """Places across a plot and up a plot: fine enough that a value read back has four digits."""
 
 LOG_FROM = 10.0
-"""Ratio of two positive values beyond which a scale that may be logarithmic is."""
+"""A scale is logarithmic, if that is allowed, when the ratio of its ends is above this value."""
 
 LEAST_TICKS = 2
 
 MORE = 1.35
-"""Times the asked number of parts there may be, rather than fewer than half."""
+"""A scale may have up to this multiple of the requested number of parts. With fewer allowed, it
+could have less than half of the requested number."""
 
 
 @final

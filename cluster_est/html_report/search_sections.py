@@ -40,15 +40,15 @@ from cluster_est.running.progress_line import search_title
 MOST_DRAWN_SEARCHES = 40
 """Searches that are drawn: the best ones."""
 AFTERWARDS = ("derivatives", "profile", "bootstrap", "records")
-"""How the names of searches begin that look around a solution."""
+"""First words of the names of searches that examine a solution."""
 MOST_DRAWN_COSTS = 3000
 SMALL_MULTIPLES = 12
 LEAST_SPREAD = 0.01
-"""Share of the cost that a plot of several minima spans at least."""
+"""Least range of a plot of several minima, as a share of the cost."""
 FEW_POINTS, MOST_LEGEND_ENTRIES, SERIES = 60, 12, 8
 MOST_SETS = 20
 LEAST_CLOSED = -25.0
-"""Per cent below which a set of effects stands at the lower end of its picture."""
+"""Lower end of the picture of effect sets, in per cent; worse sets are drawn there."""
 STEPS_NOTE = (
     "The number before a set is the step of the search. At 100 %, only noise is left; below 0 %, "
     "the set fits worse than the declared model."
@@ -92,7 +92,7 @@ def _costs(run: ReportedRun) -> list[str]:
 
 
 def _steps(run: ReportedRun) -> list[Block]:
-    """The path of a closed loop: what each set of effects closed of the gap, step by step."""
+    """The search for missing effects: the share of the gap that each set closed, step by step."""
     known = [row for row in run.tables["structures"] if row["effects"]]
     rows = [row for row in known if math.isfinite(row["closed"])]
     best = sorted(rows, key=lambda row: (not row["accepted"], -row["closed"]))[:MOST_SETS]

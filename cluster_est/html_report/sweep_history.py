@@ -1,4 +1,4 @@
-"""How the runs of a sweep changed from one time to the next: what a nightly sweep is called for."""
+"""How the results of a sweep changed from one call to the next, such as in nightly sweeps."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MOST_FIGURES = 12
 MOST_NAMED = 3
 SECONDS = {"days": 86400.0, "hours": 3600.0}
 FEWEST_DAYS = 2.0
-"""Days between the first and the last time from which on an axis has days."""
+"""Least number of days between the first and the last result for an axis in days."""
 HEIGHT = 110
 ROLES = (("rmse_train", "training", "after"), ("rmse_test", "held out", "before"))
 NOTE = (
@@ -184,7 +184,7 @@ def _labels(each: RunHistory) -> list[str]:
 
 
 def _since(each: RunHistory) -> tuple[FloatArray, str]:
-    """How long each time was before the last one: negative numbers and 0, and their unit."""
+    """The time of each result relative to the last one: negative numbers and 0, and their unit."""
     began = [datetime.fromisoformat(str(row["started"])).timestamp() for row in each.rows]
     seconds = np.array(began) - began[-1]
     unit = "days" if -seconds[0] >= FEWEST_DAYS * SECONDS["days"] else "hours"

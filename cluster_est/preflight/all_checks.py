@@ -54,9 +54,9 @@ from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer, ProbeBench
 
 STILL = 1e-9
-"""Share of its size by which an output may change and yet stand still."""
+"""An output that changes by less than this share of its size counts as constant."""
 CLEAR_CHANGE_OVER_NOISE = 5.0
-"""Times the noise by which a measured output moves clearly."""
+"""A measured output that changes by more than this multiple of its noise is not constant."""
 
 
 def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
@@ -121,7 +121,7 @@ def _still(simulation: Simulation) -> bool:
 
 
 def _moves(values: FloatArray) -> bool:
-    """Return True for a signal that moves by more than its noise."""
+    """Return whether a signal changes by more than its noise."""
     if len(values) < 4 or np.ptp(values) == 0.0:
         return False
     return bool(np.std(values) > CLEAR_CHANGE_OVER_NOISE * noise_of_samples(values))
@@ -132,13 +132,13 @@ MOST_SECONDS = 1.0
 ENOUGH = 150
 """Simulations for which there is time with any longer time for all checks."""
 SHORT_SIMULATION_SECONDS = 2e-4
-"""Seconds: shorter simulations are not worth the way to another process."""
+"""Seconds. Shorter simulations are not worth the time to send them to another process."""
 LONG = 1.0
-"""Seconds: so long a simulation is worth a plan that asks for few of them."""
+"""Seconds. With longer simulations, a method that needs few of them is recommended."""
 LEAST_COUNT = 100
-"""Simulations from which on a leak is visible."""
+"""Least number of simulations with which a memory leak is visible."""
 LEAK = 1024.0
-"""Bytes for each simulation: less is no leak."""
+"""Least increase of the memory for each simulation that counts as a leak, in bytes."""
 
 
 def costs(subject: CheckSubject) -> list[CheckFinding]:
@@ -163,7 +163,7 @@ def costs(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def _few_simulations(seconds: float) -> list[CheckFinding]:
-    """Recommend what asks for few simulations where each of them takes long."""
+    """Recommend options that need few simulations, if each simulation takes long."""
     if seconds < LONG:
         return []
     said = (
@@ -233,7 +233,7 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
 SECONDS = 4.0
 """Time for all checks, once there is a process for them."""
 LEAST_MOVEMENT = 0.01
-"""Share of its largest range by which an output must move to tell something of the parameters."""
+"""Least change of an output that is informative, as a share of its largest range."""
 SHARE_OF_LEFTOVER = 1.0
 """Share of the time left when all checks are done, for one that had too little."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6

@@ -30,17 +30,17 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
 STEP_OVER_DEVIATION = math.sqrt(12.0)
-"""A step over the standard deviation that rounding to it makes; see `quantisation_step`."""
+"""Step of a rounding, over the standard deviation of its error; see `quantisation_step`."""
 FEW_OUTLIERS = 0.01
-"""Largest share of the samples that are outliers; more of them are how this signal is."""
+"""Largest share of outliers among the samples; if there are more, they are part of the signal."""
 FEWEST_VALUES = 20
-"""Different values that a signal with outliers has at least: fewer are levels."""
+"""Least number of different values of a signal with outliers; a signal with fewer has levels."""
 GAP = 1.5
-"""Sampling intervals of an input from which on it has a gap."""
+"""Least length of a gap of an input, in sampling intervals."""
 
 
 def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
-    """Look at what drives the model; nothing is simulated."""
+    """Check the data of inputs and outputs, without simulations."""
     return [
         *_readings(problem),
         *_inputs_without_data(problem, description),

@@ -1,10 +1,10 @@
-"""What speaks for each effect of a set, and what the last fit leaves in doubt.
+"""The evidence for each effect of a set, and doubts that the last fit raises.
 
-The evidence comes from what a search has compared and fitted. What is in doubt is said, and bars
-the verdict "found". An effect may stand in for what lies beyond the bound of a declared parameter.
-A law whose shape is at the end of its range is another law, of which it is a piece: saturation with
-a knee far beyond the data is a line. A fit that ended far from its minimum has no intervals to
-judge an effect by.
+The evidence comes from the structures that a search compared. Doubts are reported, and with a doubt
+the verdict is not "found". There are three kinds of doubt. If a declared parameter is at a bound,
+an effect may compensate for a value beyond this bound. If a coefficient of a law is at the end of
+its range, the law behaves like a part of another law: saturation with a knee far beyond the data is
+a line. If a fit ended far from its minimum, its intervals cannot be used to judge an effect.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from workers.effects.kinds import FREE_FAMILIES
 from workers.messages import Role
 
 MOST_NAMED = 3
-"""Alternatives of a lead that its sentence names."""
+"""Largest number of alternatives that the sentence on a lead names."""
 
 
 def with_claims(
@@ -44,27 +44,27 @@ def with_claims(
     declared: bool,
     claimed: bool,
 ) -> tuple[NamedEffect, ...]:
-    """Give each effect of a set what speaks for it, and how sure it is.
+    """Add to each effect of a set its evidence, and how sure it is.
 
     Parameters
     ----------
     effects
         All effects of the set, in the order in which they were added.
     errors
-        Before, and with all effects.
+        Errors before, and with all effects.
     structures
-        All that were compared.
+        All structures that were compared.
     declared
-        The noise is declared. Estimated, it is that of all training experiments: what is left of
-        held-out ones is then compared with the training experiment with the largest error, because
-        experiments may differ in their noise.
+        Whether the noise is declared. An estimated noise is that of all training experiments
+        together, but experiments may differ in their noise. So without a declared noise, held-out
+        errors are compared with the training experiment that has the largest error.
     claimed
-        The effects are claimed; else they are leads.
+        Whether the effects are claimed. Otherwise they are leads.
 
     Returns
     -------
     tuple[NamedEffect, ...]
-        As they are where no noise is known.
+        The same effects, unchanged if no noise is known.
     """
     known = comparable(errors)
     role: Role = "test" if any(each.role == "test" for each in known) else "train"
@@ -94,7 +94,7 @@ def with_claims(
 
 
 def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
-    """Say of each effect how sure it is, or that it is a lead; "" where that is not known."""
+    """Say how sure each effect is, or that it is a lead; "" if that is not known."""
     known = [(effect.label, effect.claim) for effect in effects if effect.claim is not None]
     if not known:
         return ""
@@ -116,7 +116,7 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
 
 
 def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:
-    """Return the best alternative of an effect at each of the nearest few other places."""
+    """Return an effect's best alternative at each other site, for the best few sites."""
     found: dict[str, AlternativeEffect] = {}
     for other in sorted(effect.alternatives, key=lambda each: each.criterion):
         if other.site != effect.site:
@@ -125,7 +125,7 @@ def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:
 
 
 def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tuple[float, float]:
-    """Return by how much a structure without an effect is worse, and how often it is chosen."""
+    """Return how much worse the criterion is without an effect, and how often it is chosen."""
     with_it = [row for row in structures if effect.label in row.effects]
     without = [row for row in structures if effect.label not in row.effects]
     best = min((row.criterion for row in with_it), default=np.nan)
@@ -138,16 +138,16 @@ def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tup
 def doubted(
     judged: ReasonedVerdict, added: Collection[str], before: Result, after: Result
 ) -> tuple[ReasonedVerdict, tuple[str, ...]]:
-    """Say what the last fit leaves in doubt: then not all was found, whatever is left.
+    """Report the doubts that the last fit raises, and lower a verdict "found" to "partial".
 
     Parameters
     ----------
     judged
         The verdict so far.
     added
-        Names of the effects that are claimed; without any there is nothing to be barred.
+        Names of the claimed effects. Without any, the verdict stays as it is.
     before, after
-        Last fits of the declared model, and with the effects.
+        Last fits of the declared model and of the model with the effects.
 
     Returns
     -------
@@ -188,10 +188,11 @@ def _at_bounds(added: Collection[str], after: Result) -> list[str]:
 
 
 def _at_its_minimum(fit: Result) -> bool:
-    """Return whether the data cannot tell the last point of a fit from the minimum.
+    """Return whether the data cannot distinguish the last point of a fit from the minimum.
 
-    Its derivatives promise that the squares still fall by no more than those of one standard error,
-    as where noise of the simulations hides the last steps.
+    This is so if, according to the derivatives, the sum of squares can decrease by no more than it
+    changes within one standard error. Such a fit may not converge because the simulations are
+    noisy.
     """
     jacobian, at = fit.solution.jacobian, fit.solution.at
     if fit.success:

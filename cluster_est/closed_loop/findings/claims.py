@@ -1,11 +1,12 @@
 """How sure a claimed effect is: its evidence, and the probability that it is right.
 
-A claim is right if the effect has a right name: its place, its argument and its kind are those of
-what is missing, or of an equation that is the same on the data. The probability follows from few
-figures of the evidence, by a logistic regression on claims of the benchmark, whose truth is known;
-`scripts/bench_closed_loop.py --calibrate` fits it anew. What is said beside it is how many of the
-claims there with such a probability were right. Share closed, rivals, order
-and parts that become better were tried besides: they do not tell right from wrong there.
+A claim is right if the place, the argument and the kind of the effect are those of the missing
+effect, or of an equation with the same values on the data. The probability comes from a logistic
+regression with a few numbers of the evidence. It was fitted to claims of the benchmark, for which
+the truth is known; `scripts/bench_closed_loop.py --calibrate` fits it again. The sentence on a
+claim says how many benchmark claims with a similar probability were right. The share of the gap
+that is closed, rivals, the order of the effects and the number of improved parts were also tried,
+but in the benchmark they do not distinguish right claims from wrong ones.
 """
 
 from __future__ import annotations
@@ -19,27 +20,28 @@ from cluster_est.problem.display import percent
 
 @dataclass(frozen=True)
 class ClaimEvidence:
-    """What speaks for an effect, in the set of effects that it belongs to.
+    """The evidence for an effect, as a member of a set of effects.
 
     Attributes
     ----------
     effects
-        How many effects the set has.
+        Number of effects in the set.
     shared
-        Another effect of the set has the same site and arguments.
+        Whether another effect of the set has the same site and arguments.
     left
-        The largest error of an output that is left, over the noise: of training or held-out data.
+        Largest remaining error of an output over its noise, on training or held-out data.
     closed
-        Share of the gap between the squares of error and noise that all effects close: of held-out
-        data where there are some, else of those of training.
+        Share of the gap between squared error and squared noise that all effects together close: on
+        held-out data if there are any, otherwise on training data.
     rival
-        Criterion of the best structure without the effect, less that of the best with it.
+        Criterion of the best structure without the effect, minus that of the best structure with
+        it.
     chosen
-        Share of the resamplings of the experiments whose best structure has it; NaN if not known.
+        Share of the resamplings whose best structure contains the effect; NaN if not known.
     at_end
-        A coefficient of it stands at the end of its range.
+        Whether one of its coefficients is at the end of its range.
     free
-        It is a free curve.
+        Whether it is a free curve.
     """
 
     effects: int
@@ -53,23 +55,24 @@ class ClaimEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Much is left, or its law is at the end of its range.
+        """Whether the remaining error is large, or a coefficient is at the end of its range.
 
-        Such claims are few in the benchmark, and most on measured data: they are counted apart.
+        Such claims are rare in the benchmark, and frequent on measured data. They are counted
+        separately.
         """
         return self.left > LEAVES_MUCH or self.at_end
 
 
 @dataclass(frozen=True)
 class LikeClaims:
-    """Claims of the benchmark that are alike, and how many of them were right.
+    """A group of similar benchmark claims, and how many of them were right.
 
     Attributes
     ----------
     least
-        Lowest probability of one of them, as the regression on the other systems has it.
+        Lowest probability in the group, from a regression on the other systems.
     right, of
-        Claims that were right, and all.
+        Number of claims that were right, and of all claims.
     """
 
     least: float
@@ -78,42 +81,43 @@ class LikeClaims:
 
     @property
     def expected(self) -> float:
-        """Probability that one more is right, after the rule of succession of Laplace."""
+        """Probability that a further claim is right, by Laplace's rule of succession."""
         return (self.right + 1.0) / (self.of + 2.0)
 
 
 @dataclass(frozen=True)
 class ClaimCalibration:
-    """The regression on the claims of the benchmark, and how many of these were right.
+    """The regression on the benchmark claims, and how many of these claims were right.
 
-    The log odds are `intercept + fewer * (1 - effects) + clean * REST / (REST + left^2 - 1) +
-    apart * (not shared) + chosen * chosen`. No weight is negative: what speaks for a claim must not
+    The log odds are `intercept + fewer * (1 - effects) + clean * REST / (REST + left^2 - 1) + apart
+    * (not shared) + chosen * chosen`. No weight is negative, because evidence for a claim must not
     make it less sure.
 
     Attributes
     ----------
     origin
-        What it was fitted to.
+        The claims to which it was fitted.
     intercept
-        Log odds where all figures are 0.
+        Log odds if all numbers of the evidence are 0.
     fewer
-        Of a set with one effect less: later effects live of what the first ones leave, and pieces
-        of one law come as several.
+        Added log odds for each effect less in the set. Later effects may describe the error of
+        earlier ones, and one law may be found as several pieces.
     clean
-        Of a set that leaves noise alone, over one that leaves far more: what is left says that the
-        set is not what is missing, and no more by being larger.
+        Added log odds of a set that leaves only noise, compared with a set that leaves far more. A
+        remaining error says that the set is incomplete or wrong, but its size hardly matters.
     apart
-        Of an effect that shares its site and arguments with no other: the data determine the sum of
-        those that do.
+        Added log odds of an effect that does not share its site and arguments with another effect.
+        If effects share them, the data determine only the sum of these effects.
     chosen
-        Of an effect that is chosen in all resamplings, over one that is in none.
+        Added log odds of an effect that is chosen in all resamplings, compared with none.
     alike
-        Claims of laws in five bins by their probability on systems that were left out, the lowest
-        first. Bins in which less are right than in the one before are one bin with that.
+        Claims of laws in five bins by their probability, which comes from a regression without
+        their own system. The lowest bin is the first. If a smaller share is right than in the bin
+        before, the two bins are merged.
     doubtful
-        Claims of laws that are doubtful (see there): no such claim is surer.
+        Doubtful claims of laws (see `ClaimEvidence.doubtful`). No such claim is surer than these.
     curves
-        Free curves: right at the place, whatever the law.
+        Free curves: right if the place is right, whatever the law.
     leads, lead_places
         Effects that were not claimed: right in place and kind, and right in place alone.
     """
@@ -132,17 +136,18 @@ class ClaimCalibration:
 
 
 REST = 0.1
-"""Squares over the noise, less 1, that count half. Benchmark: of 0.05, 0.1, 0.2 and 0.4 it tells
-right from wrong best."""
+"""Squared error over squared noise, minus 1, with which the weight `clean` counts half. Benchmark:
+of 0.05, 0.1, 0.2 and 0.4, this value best distinguishes right claims from wrong ones."""
 LEAVES_MUCH = 1.5
-"""Error over the noise from which a claim is doubtful. By definition: what "found" may leave."""
+"""Error over the noise above which a claim is doubtful. By definition: the most that "found" may
+leave."""
 CHOSEN = 1.0
-"""Share of the resamplings where it is not known. Benchmark: the median of all claims."""
+"""Value of `chosen` if it is not known. Benchmark: the median of all claims."""
 CLAIMED = 0.5
 """Probability below which an effect is not claimed. By definition: it is more likely wrong than
 right."""
 FEW = 40
-"""Claims of the benchmark below which it is said that there are few. By definition."""
+"""If there are fewer benchmark claims, the sentence says that they are few. By definition."""
 
 CALIBRATION = ClaimCalibration(
     origin="306 claims in 128 cases of 26 systems, 60 of them wrong, 7 free curves, 78 leads",
@@ -171,11 +176,12 @@ class Claim:
     Attributes
     ----------
     probability
-        That it is right in place and kind, of a free curve in place; NaN of a lead.
+        Probability that place and kind are right; for a free curve, that the place is right. NaN
+        for a lead.
     sentence
-        The same in words, with how many claims like this were right in the benchmark.
+        The probability in words, and how many similar claims in the benchmark were right.
     evidence
-        What it follows from.
+        The evidence from which it was computed.
     """
 
     probability: float
@@ -189,7 +195,7 @@ class Claim:
 
 
 def figures(evidence: ClaimEvidence) -> tuple[float, float, float, float]:
-    """Return what the weights `fewer`, `clean`, `apart` and `chosen` multiply."""
+    """Return the numbers that are multiplied by `fewer`, `clean`, `apart` and `chosen`."""
     beyond = max(evidence.left**2 - 1.0, 0.0)
     return (
         1.0 - evidence.effects,
@@ -229,7 +235,7 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
 
 
 def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Claim:
-    """Return how sure an effect is that does not close enough to be claimed."""
+    """Return how sure an effect is that closes too little of the gap to be claimed."""
     right, place = known.leads, known.lead_places
     said = (
         f"this is a lead, not a claim: {_of_alike(right, 'leads', 'right in place and kind')}, and "

@@ -1,6 +1,6 @@
-"""The sets of effects that a search leaves room for: their probabilities, rivals, and costs.
+"""The sets of effects that the data allow: their probabilities, rival models, and costs.
 
-Each is judged as it fits, and by how often it is chosen where the experiments are drawn anew.
+A set is judged by its fit, and by how often it is the best set in resamplings of the experiments.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from cluster_est.statistics.choice_shares import LinearFit, choice_shares
 from workers.messages import Effect, IntArray
 
 SHARE = 0.9
-"""Of the probability that the likely sets hold together."""
+"""Sum of the probabilities of the likely sets."""
 CRITERION_SCALE = 8.0
-"""What differences of the criterion are divided by. Benchmark: without, sets that should hold 98 %
-held the truth in 91 % of 260 cases, and what was called more than 99 % sure was so in 92 % of 127;
-with it in 95 %, and in 99 % of 96. The criterion takes models for exact and refits for complete."""
+"""Differences of the criterion are divided by this number, because the criterion assumes that
+models are exact and refits complete. Benchmark: without the division, sets with a total probability
+of 98 % contained the truth in 91 % of 260 cases, and claims with more than 99 % were right in 92 %
+of 127 cases. With it, these shares are 95 %, and 99 % of 96 cases."""
 MOST_NAMED_SETS = 5
-"""Sets that a sentence names."""
+"""Largest number of sets in a sentence."""
 DECLARED = "no effect"
 
 
 def choice_price(found: SelectionResult) -> float:
-    """Return the price of the choice of one effect among all candidates, in -2 log likelihood."""
+    """Return the penalty for the choice of an effect among all candidates, in -2 log likelihood."""
     return float(SELECTION.choice_price * np.log(found.steps[0].screening.count))
 
 
@@ -43,19 +44,24 @@ def with_probabilities(
 ) -> tuple[ComparedStructure, ...]:
     """Give each set of effects its probability among all that were compared.
 
-    With a criterion B, exp(-B / 2) is proportional to the probability of the data under a model,
-    and so to that of the model where none was more likely beforehand (A. E. Raftery, Sociol.
-    Methodol. 25 (1995) 111-163, doi:10.2307/271063). Here B has the price of the choice of each
-    effect among all candidates, and is divided by `CRITERION_SCALE`: a fractional likelihood (A.
-    O'Hagan, J. R. Stat. Soc. B 57 (1995) 99-138, doi:10.1111/j.2517-6161.1995.tb02017.x). Each set
-    counts once, at its best refit, which may have been broken off; the declared model is one of
-    them, and the last row of what is returned.
+    With a criterion B, exp(-B / 2) is proportional to the probability of the data under a model. If
+    all models were equally likely beforehand, it is also proportional to the probability of the
+    model (A. E. Raftery, Sociol. Methodol. 25 (1995) 111-163, doi:10.2307/271063). Here B includes
+    the penalty for the choice of each effect among all candidates, and is divided by
+    `CRITERION_SCALE`. This is a fractional likelihood (A. O'Hagan, J. R. Stat. Soc. B 57 (1995)
+    99-138, doi:10.1111/j.2517-6161.1995.tb02017.x). Each set counts once, with its best refit, even
+    if this refit was stopped early. The declared model is one of the sets.
 
     Parameters
     ----------
     path
-        Whatever was refitted, each set perhaps in several rounds. The best row of a set has its
-        probability, the others NaN.
+        All refits; a set may have been refitted in several rounds.
+
+    Returns
+    -------
+    tuple[ComparedStructure, ...]
+        The same rows, and the declared model as the last row. The best row of each set has its
+        probability; the others have NaN.
     """
     declared = ComparedStructure(0, (), 0.0, 0.0, converged=True, accepted=False)
     rows = [*path, declared]
@@ -81,9 +87,9 @@ def best_rows(rows: Sequence[ComparedStructure]) -> dict[frozenset[str], int]:
 
 
 def likely_structures(path: Sequence[ComparedStructure]) -> tuple[ComparedStructure, ...]:
-    """Return the fewest sets that hold 90 % of the probability, the likeliest first.
+    """Return the fewest sets that together have 90 % of the probability, the likeliest first.
 
-    What was added in the end is among them in any case. None where no probabilities are known.
+    The set that was added in the end is always among them. Empty if no probabilities are known.
     """
     known = [each for each in path if np.isfinite(each.probability)]
     ranked = sorted(known, key=lambda each: -each.probability)
@@ -95,7 +101,7 @@ def likely_structures(path: Sequence[ComparedStructure]) -> tuple[ComparedStruct
 
 
 def likely_sentence(path: Sequence[ComparedStructure]) -> str:
-    """Say which sets of effects the data leave room for; "" where that is not known."""
+    """Say which sets of effects are likely; "" if no probabilities are known."""
     likely = likely_structures(path)
     if not likely:
         return ""
@@ -116,24 +122,25 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
 
 
 MOST_COMPETING = 6
-"""Models that are kept."""
+"""Largest number of models that are kept."""
 FAR = 50.0
-"""Difference of the criterion beyond which a model is no rival: some 1 to 20 after all that the
-probabilities of structures allow for."""
+"""Largest difference of the criterion between a rival and the best model. In the probabilities of
+structures, it corresponds to odds of about 1 to 20."""
 
 
 @dataclass(frozen=True)
 class CompetingModel:
-    """A model that the data leave room for.
+    """A model that is a likely explanation of the data.
 
     Attributes
     ----------
     name
         The labels of its effects.
     problem, values
-        With its effects, on the experiments of the run; estimates by label.
+        The problem with these effects, on the experiments of the run; estimates by label.
     criterion
-        Bayesian information criterion with the price of the choice, less that of what was found.
+        Bayesian information criterion with the penalty for the choice among the candidates, minus
+        that of the model that was found.
     weight
         Probability among the models that are kept.
     added
@@ -148,7 +155,7 @@ class CompetingModel:
     added: tuple[tuple[Effect, tuple[Parameter, ...]], ...] = field(repr=False, default=())
 
     def facts(self) -> dict[str, Any]:
-        """Return what run.json says of it: all that it takes to make it again."""
+        """Return its entry in run.json, from which it can be made again."""
         return {
             "name": self.name,
             "criterion": self.criterion,
@@ -159,7 +166,10 @@ class CompetingModel:
 
 
 def leading_models(fitter: Fitter, found: SelectionResult, most: int) -> list[FittedModel]:
-    """Return the models with the best criterion, each set of effects once, what was added first."""
+    """Return the models with the best criterion, each set of effects once.
+
+    The model that was found is always the first.
+    """
     fits = [found.current, found.base]
     fits += [each.fitted for step in found.steps for each in step.contenders]
     fits += [each.fitted for _, rivals in found.rivals.values() for each in rivals]
@@ -204,21 +214,22 @@ def _competing(fit: FittedModel, criterion: float, weight: float) -> CompetingMo
 
 DRAWS = 200
 FEWEST_DRAWN = 5
-"""Experiments that are drawn as they are; of fewer, parts of their records."""
+"""Least number of experiments for which whole experiments are drawn. With fewer experiments, parts
+of their records are drawn."""
 PARTS = 10
 LEADING = 12
-"""Sets of effects that are compared: those with the best criterion."""
+"""Number of sets of effects that are compared: those with the best criterion."""
 MOST_UNKNOWNS = 150
 MOST_NAMED_CHOICES = 4
 STREAM = 7
-"""Of the fitter's generators."""
+"""Number of the fitter's random generator for the resamplings."""
 
 
 @dataclass(frozen=True)
 class ResampledChoices:
-    """The shares of draws in which sets of effects are chosen, by the labels of these.
+    """The share of the resamplings in which each set of effects is the best, by the set's labels.
 
-    `drawn` says what was drawn.
+    `drawn` says what was drawn: experiments, or parts of records.
     """
 
     drawn: str
@@ -238,10 +249,10 @@ class ResampledChoices:
 
 
 def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoices | None:
-    """Draw the training experiments anew and choose again among the leading sets of effects.
+    """Resample the training experiments, and choose the best of the leading sets each time.
 
-    Each is refitted by its linear model, so it takes no simulation. None where no effect was added,
-    or a set has too many unknowns for it.
+    Each set is refitted with its linear model, so no simulation is needed. None if no effect was
+    added, or if a set has too many unknowns.
     """
     if not found.current.added:
         return None
@@ -261,7 +272,7 @@ def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoice
 def with_choices(
     path: Sequence[ComparedStructure], choices: ResampledChoices | None
 ) -> tuple[ComparedStructure, ...]:
-    """Give each set of effects its share, in the row of its best refit."""
+    """Add to each set of effects its share of the resamplings, in the row of its best refit."""
     if choices is None:
         return tuple(path)
     shares = {frozenset(labels): share for labels, share in choices.shares.items()}
@@ -272,7 +283,7 @@ def with_choices(
 
 
 def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
-    """The number of the piece and of the output of each residual."""
+    """Return, for each residual, the number of the piece that is drawn and of the output."""
     pieces, outputs = np.zeros(fitter.size, int), np.zeros(fitter.size, int)
     for item in fitter.records.items:
         outputs[item.rows] = item.output
@@ -286,15 +297,15 @@ def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
 
 
 EXPENSIVE = 5.0
-"""Times the solver steps of the declared model from which a structure is said to be expensive."""
+"""Solver steps over those of the declared model, above which a structure counts as expensive."""
 
 
 def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
-    """Say which structures make simulations expensive; nothing where none does.
+    """Say which structures make simulations expensive; nothing if none does.
 
-    A solver that adapts its steps makes more of them where an effect is fast: a lag of a
-    millisecond in a record of an hour. The steps are counted, so that the sentence is the same on
-    every machine.
+    A solver with adaptive steps makes more steps if an effect is fast, such as a lag of a
+    millisecond in a record of an hour. The steps are counted, not the time, so that the sentence is
+    the same on every machine.
     """
     expensive = [each for each in path if each.relative_steps > EXPENSIVE]
     if not expensive:

@@ -1,4 +1,4 @@
-"""The effects that were found in the words and numbers of a report."""
+"""Descriptions of the effects that were found, in the words and numbers of a report."""
 
 from __future__ import annotations
 
@@ -30,20 +30,22 @@ from cluster_est.results.shapes.step_responses import dynamics_in_words
 from workers.messages import FloatArray
 
 LARGEST_DIFFERENCE = 10.0
-"""Times the noise by which the predictions of an alternative may differ at any sample: beyond that
-the data tell the two apart, however the criterion of all samples may look."""
+"""Largest difference between the predictions of an effect and of its alternative, at any sample,
+over the noise. If the difference is larger, the data distinguish the two, whatever the
+criterion."""
 
 WINDOWS = 20
-"""Parts into which a record is cut to say when most of its residual lives."""
+"""Number of parts of a record, to say in which part most of its residual is."""
 
 
 STANDS_OUT = 4.0
-"""Times its share of the samples that a part of a record must have of the squares to be named: of
-white noise in parts of ten samples the largest among some hundred has three times."""
+"""A part of a record is named if its share of the sum of squares is at least this many times its
+share of the samples. For white noise and parts of ten samples, the largest of about a hundred parts
+reaches three times."""
 
 
 def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
-    """Say which effects are functions of one argument at one site: the data show their sum."""
+    """Say which effects are functions of the same argument at the same site."""
     places: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for candidate in added:
         if candidate.effect.variables and candidate.form.variables == 1:
@@ -64,9 +66,10 @@ def describe_effects(
     result: Result,
     curves: Sequence[EffectCurve] = (),
 ) -> tuple[NamedEffect, ...]:
-    """Describe the effects of the final model, with what each cannot be told apart from.
+    """Describe the effects of the final model, each with the alternatives that the data allow.
 
-    `curves` are theirs, where they have some: they say over which range a name holds.
+    `curves` are the curves of these effects, as far as they have one. A curve says for which range
+    of its argument the name of the effect is right.
     """
     own = {curve.effect: curve for curve in reversed(curves)}
     namer = Namer(fitter.description, dict(fitter.problem.units))
@@ -99,7 +102,7 @@ def describe_untested(fitter: Fitter, fitted: FittedModel) -> tuple[NamedEffect,
 def error_changes(
     fitter: Fitter, found: SelectionResult, before: Result, after: Result
 ) -> tuple[ErrorChange, ...]:
-    """Put the errors of the declared and of the final model side by side."""
+    """Return the errors of the declared model and of the final model, by experiment and output."""
     noise = fitter.noise_in_units(found.noise)
     rows = []
     for old, new in zip(before.errors, after.errors, strict=True):
@@ -113,12 +116,12 @@ def error_changes(
 
 
 def _over(error: float, sigma: float) -> float:
-    """NaN where the noise is unknown, or none."""
+    """Return an error over the noise; NaN if the noise is unknown or 0."""
     return error / sigma if sigma > 0.0 else np.nan
 
 
 def where_left(fitter: Fitter, fitted: FittedModel) -> str:
-    """Say in a sentence in which part of the data most of a residual lives."""
+    """Say in which part of the data most of a residual is."""
     total = fitted.sse
     if not total > 0.0:
         return "there is no remaining error"
@@ -194,7 +197,7 @@ def _agreeing(
     named: EffectName,
     curve: EffectCurve | None,
 ) -> tuple[AgreeingEquation, ...]:
-    """Equations that agree with an effect on the range of the data, with their names."""
+    """Return the equations that agree with an effect on the range of the data."""
     shape = None if curve is None else shape_over(curve, result, fitter.description)
     if curve is None or shape is None:
         return ()
@@ -210,9 +213,9 @@ def _alternatives(
     rivals: Sequence[RefittedCandidate],
     namer: Namer,
 ) -> tuple[AlternativeEffect, ...]:
-    """Rivals that the data really leave open: they predict nearly the same at every sample.
+    """Return the rivals that the data do not exclude: their predictions hardly differ anywhere.
 
-    Another effect of the same structure is none, though it may be refitted in this one's place.
+    Other effects of the same structure are not rivals.
     """
     if won is None:
         return ()
@@ -296,7 +299,7 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float)
 
 
 ROUNDING = 1e-6
-"""Share of an effect below which a difference is that of rounding."""
+"""If a difference is below this share of an effect, it counts as rounding."""
 
 
 def sentence_of(
@@ -307,7 +310,7 @@ def sentence_of(
     also: Sequence[AgreeingEquation] = (),
     period: float = math.nan,
 ) -> str:
-    """Return what was found in a sentence or two."""
+    """Describe an effect that was found, in one or two sentences."""
     said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
     told = [e for e in coefficients if e.estimated_on != "known"]  # a width may have been held
     values = [_value(candidate, e) for e in told if e.label == e.parameter]
@@ -337,11 +340,11 @@ REFERENCES = {
     "drift": "t", "linear": "{v}", "inverse": "{v}", "exponential": "{v}", "power": "abs({v})",
     "magnitude": "abs({v})", "square": "{v}^2", "inverse_square": "{v}^2", "heating": "z",
 }  # fmt: skip
-"""Of forms at a parameter that leave it as it is at one value of their argument: that argument."""
+"""For forms that leave a parameter unchanged at one value of their argument: this argument."""
 
 
 def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> str:
-    """Say where a parameter that varies now has the value that is estimated for it."""
+    """Say for which argument a parameter that now varies has its estimated value."""
     argument = REFERENCES.get(candidate.form.name)
     at = next((e for e in coefficients if e.parameter == f"{candidate.effect.name}.at"), None)
     if candidate.site.kind != "parameter" or argument is None or at is None:
@@ -370,11 +373,11 @@ def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
 
 
 LONG_TIME = 120.0
-"""Seconds above which a time is said in minutes, hours or days."""
+"""Times above this number of seconds are written in minutes, hours or days."""
 
 
 def in_unit(unit: str) -> str:
-    """Return a unit behind a number; "" where it is a number's, or not known."""
+    """Return a unit as it follows a number; "" if it is 1 or unknown."""
     return "" if unit in ("", "1") or "?" in unit else f" {unit}"
 
 
@@ -384,7 +387,7 @@ def _range(curve: EffectCurve) -> str:
 
 
 def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
-    """What else the equation may be, and where to measure to tell."""
+    """Name an equation with nearly the same values, and where to measure to distinguish the two."""
     named = f"{also.equation} ({also.words})" if also.words else also.equation
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
     off = f"differs by at most {also.difference:.2g}{unit} ({also.share:.1%}) from"

@@ -1,8 +1,8 @@
-"""Curves of the effects that were found: what the residuals ask for, and equations that agree.
+"""Curves of the effects that were found: estimates from the residuals, and equations that agree.
 
-v^2 and v|v| are the same where v is never negative, and a switch with the sign of v is a constant
-where v never changes it. No search can tell them apart there, so a finding names both, and where
-to measure to tell.
+If v is never negative, v^2 and v|v| are the same, and a switch with the sign of v is a constant. No
+search can distinguish them on such data. So a finding names both equations, and says where a
+measurement would distinguish them.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from workers.messages import FloatArray
 
 
 def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[EffectCurve, ...]:
-    """Compute the curves of all effects of a model that the loop has added to.
+    """Compute the curves of all effects of the final model.
 
-    Its experiments are simulated once more where the search ended, for the range of their signals
-    and for the directions of free values.
+    The experiments are simulated once more with the final model, because the curves need the ranges
+    of the signals, and the sensitivities to free values.
     """
     if not fitted.added:
         return ()
@@ -57,9 +57,9 @@ def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[
 
 
 def arguments(trajectory: LinearisedTrajectory, site: EffectSite, name: str) -> FloatArray | None:
-    """Values of an effect's argument along an experiment; of its own signal, before effects act.
+    """Return the values of an effect's argument in an experiment; None if it has none.
 
-    None where the experiment does not have it.
+    If the argument is the signal that the effect changes, the values are those before the change.
     """
     if name == "time":
         return trajectory.times
@@ -77,7 +77,7 @@ def _shown(
     trajectories: Sequence[LinearisedTrajectory],
     residuals: FloatArray | None,
 ) -> EffectCurve:
-    """A curve with its free values, where these can be had; not for one sign of a variable."""
+    """Return a curve with its free values, if these can be estimated."""
     if curve.why_not or curve.positive or site is None:
         return curve
     values = [arguments(each, site, curve.variable) for each in trajectories]
@@ -87,17 +87,17 @@ def _shown(
 
 
 def _integral_of(name: str, trajectories: Sequence[LinearisedTrajectory]) -> str:
-    """The state whose integral a variable is; of a difference that of both."""
+    """Return the state whose integral a variable is; for a difference, that of both."""
     speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
     parts = [speeds[x] for x in split_variable(name, speeds)]
     return difference(*parts) if len(parts) > 1 else "".join(parts)
 
 
 PLACES = 12
-"""Of a free function: more are not told apart by the eye."""
+"""Number of points of a free function; the eye does not distinguish more."""
 
 DETERMINED = 1e-8
-"""Share of the largest squared length that the direction of a place needs."""
+"""Least squared length of a point's sensitivity, as a share of the largest one."""
 
 
 def free_values(
@@ -111,14 +111,14 @@ def free_values(
     Parameters
     ----------
     arguments : (n,) for each trajectory
-        None where an experiment does not have it.
+        Values of the argument; None if an experiment does not have it.
     residuals : (N,)
-        Of all training experiments, over sigma.
+        Residuals of all training experiments, divided by sigma.
 
     Returns
     -------
-    Places of the argument, values and their standard errors as of white noise, each (places,); None
-    where the site, as a pair of derivatives, or the interface does not allow it.
+    Points of the argument, values there, and standard errors that assume white noise, each
+    (points,). None for a pair of derivatives, or if the interface does not allow it.
     """
     if site.kind == "pair" or (site.kind != "output" and trajectories[0].linear is None):
         return None
@@ -148,16 +148,16 @@ def free_values(
 Shape = Callable[[FloatArray], FloatArray]
 
 CLOSE = 0.1
-"""Share of an effect's largest size that another equation may be off anywhere in the data."""
+"""Two equations agree if they differ nowhere in the data by more than this share of the effect."""
 
 CLEARLY_DIFFERENT = 0.25
-"""Share of that size by which two equations must differ somewhere, to be told apart there."""
+"""A measurement distinguishes two equations where they differ by at least this share."""
 
 BEYOND = 1.5
-"""Times the largest absolute value in the data up to which it is looked where two differ."""
+"""Range in which such a difference is looked for, over the largest absolute value in the data."""
 
 MOST_AGREEING = 3
-"""Equations that are named beside the one that was found."""
+"""Largest number of equations that are named in addition to the one that was found."""
 
 
 LAWS: dict[Law, tuple[str, Shape]] = {
@@ -171,7 +171,7 @@ LAWS: dict[Law, tuple[str, Shape]] = {
     Law.ROOT: ("sqrt(max({v}, 0))", lambda x: np.sqrt(np.maximum(x, 0.0))),
     Law.ODD_ROOT: ("sign({v}) * sqrt(abs({v}))", lambda x: np.sign(x) * np.sqrt(np.abs(x))),
 }
-"""Laws with a strength alone: one more coefficient could imitate anything."""
+"""Laws whose only coefficient is a strength; with a second one, a law could imitate any other."""
 
 
 def agreements(

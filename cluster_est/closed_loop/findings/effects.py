@@ -1,4 +1,4 @@
-"""The findings of a closed loop: verdict, effects with their blocks of a config, and errors."""
+"""The findings of a search: verdict, effects, their config blocks, and errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from workers.messages import Effect, Role
 
 
 class Verdict(enum.StrEnum):
-    """The verdict of a closed loop. A member's text is what run.json carries."""
+    """The verdict of a search for missing effects, with its text in run.json."""
 
     NONE = "none"
     COLOURED = "none (coloured noise)"
@@ -30,20 +30,20 @@ class Verdict(enum.StrEnum):
 
 @dataclass(frozen=True)
 class AlternativeEffect:
-    """An effect that cannot be told apart from the one chosen on this data.
+    """An effect that these data cannot distinguish from the chosen effect.
 
     Attributes
     ----------
     site, form, family, variables, equation
-        Of the effect.
+        Properties of the effect.
     criterion
-        Of information, less that of the chosen effect (negative: better).
+        Information criterion, minus that of the chosen effect (negative: better).
     experiment, output, time
-        At which its predictions differ most from those of the chosen effect.
+        Sample at which its predictions differ most from those of the chosen effect.
     difference
-        Of the predictions there, in standard deviations of the noise.
+        Difference of the two predictions there, in standard deviations of the noise.
     words
-        Its name in the words of physics or mathematics.
+        Its name in physics or mathematics.
     """
 
     site: str
@@ -61,19 +61,20 @@ class AlternativeEffect:
 
 @dataclass(frozen=True)
 class AgreeingEquation:
-    """Another equation that agrees with that of an effect wherever the data were.
+    """Another equation that agrees with the equation of an effect on the range of the data.
 
     Attributes
     ----------
     equation
-        What it would add instead: "-0.35 * v * abs(v)".
+        The term that it would add instead, such as "-0.35 * v * abs(v)".
     words
-        Its name in physics; "" where the units do not say.
+        Its name in physics; "" if the units do not determine one.
     difference, share
-        The largest difference in the data, in the unit of the effect, and over its largest size.
+        Largest difference on the data, in the unit of the effect, and as a share of the effect's
+        largest size.
     told_at, told_by
-        The value of the variable nearest to the data at which the two clearly differ, and by how
-        much: there an experiment would tell them apart.
+        The value nearest to the data at which the two equations clearly differ, and their
+        difference there. An experiment at this value would distinguish them.
     """
 
     equation: str
@@ -91,22 +92,22 @@ class NamedEffect:
     Attributes
     ----------
     effect
-        As it can be written into a config.
+        The effect, as a config would declare it.
     family, equation
-        "friction", "der(v) += -k * tanh(v / width)".
+        Such as "friction" and "der(v) += -k * tanh(v / width)".
     coefficients
         Its estimated numbers, with intervals and units.
     alternatives
-        Effects that it cannot be told apart from.
+        Effects that the data cannot distinguish from it.
     evidence
-        Sentences.
+        Sentences on the evidence for it.
     words, sentence
-        Its name in the words of physics, or of mathematics where units do not say; and the finding
-        as one would say it, with numbers.
+        Its name in physics, or in mathematics if the units do not determine one; and the finding as
+        a sentence with numbers.
     also
         Equations that agree with it on the range of the data.
     period
-        Seconds, of a wave in time; NaN for what is none.
+        Period in seconds of a sinusoid in time; NaN for other effects.
     label
         As structures name it: "coulomb at der(v)".
     claim
@@ -154,16 +155,16 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class NoiseChange:
-    """The strength of process noise in fits of the declared model, and of that with the effects.
+    """The strength of process noise, fitted with the declared model and with the added effects.
 
     Attributes
     ----------
     name, site, unit
-        Of the noise; the unit of its strength.
+        Name and site of the noise; unit of its strength.
     before, after
-        Standard deviation of an Ornstein-Uhlenbeck process; of white noise its q.
+        Standard deviation of an Ornstein-Uhlenbeck process, or q of white noise.
     time_before, time_after
-        Seconds that a push lasts, tau; NaN of white noise.
+        Time constant tau of an Ornstein-Uhlenbeck process, in seconds; NaN for white noise.
     """
 
     name: str
@@ -181,7 +182,7 @@ class NoiseChange:
 
     @property
     def variance_left(self) -> float:
-        """Share of its variance that the effects leave."""
+        """Variance of the noise with the effects, over that without them."""
         return (self.after / self.before) ** 2 if self.before > 0.0 else np.nan
 
 
@@ -189,8 +190,8 @@ class NoiseChange:
 class ErrorChange:
     """The errors of an output of an experiment, before and after.
 
-    `rmse` is in the output's unit, `normalised` over sigma (the given one, else the estimated
-    noise).
+    `rmse` is in the output's unit. `normalised` is divided by the given sigma, or by the estimated
+    noise if no sigma is given.
     """
 
     experiment: str
@@ -205,7 +206,7 @@ class ErrorChange:
 
     @property
     def unchanged(self) -> ErrorChange:
-        """The error before, beside itself."""
+        """The same with the error before as the error after: nothing was added."""
         before, normalised = self.rmse_before, self.normalised_before
         return replace(self, rmse_after=before, normalised_after=normalised)
 
@@ -228,9 +229,9 @@ class ErrorChange:
 
 
 def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark: str = "") -> str:
-    """Say how large the error is that is left, beside the noise, and where that is not known.
+    """Compare the remaining error with the noise, and name outputs whose noise is not known.
 
-    `remark` follows the sizes.
+    `remark` is appended to the sizes.
     """
     train, test = (largest_error(errors, role) for role in ("train", "test"))
     said = []
@@ -258,23 +259,23 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
 
 
 def _times(size: float) -> str:
-    """A multiple, with two decimals as far as they matter."""
+    """Write a multiple, with two decimals if it is small."""
     return f"{size:.2f}" if size < 10.0 else f"{size:.3g}"
 
 
 def not_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
-    """Experiments with data that could not be simulated with the effects, each once."""
+    """Return the experiments with data that could not be simulated with the effects."""
     rows = [e for e in errors if e.samples and not np.isfinite(e.rmse_after)]
     return tuple(dict.fromkeys(repr(e.experiment) for e in rows))
 
 
 def no_longer_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
-    """Those of them that could be simulated before."""
+    """Return those experiments that can be simulated without the effects, but not with them."""
     return not_simulated([e for e in errors if np.isfinite(e.rmse_before)])
 
 
 def without_noise(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
-    """Outputs that have an error, and no noise that it could be compared with."""
+    """Return the outputs with an error, but without a known noise."""
     rows = [e for e in errors if e.rmse_after > 0.0 and not np.isfinite(e.normalised_after)]
     return tuple(dict.fromkeys(e.output for e in rows))
 
@@ -282,7 +283,7 @@ def without_noise(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
 def over_noise(
     errors: Sequence[ErrorChange], noise: Mapping[str, float]
 ) -> tuple[ErrorChange, ...]:
-    """Return the errors over another noise than the declared sigma, in units of that, by output."""
+    """Return the errors divided by a noise, which is given by output in units of sigma."""
     return tuple(
         replace(
             e,
@@ -301,7 +302,7 @@ def comparable(errors: Sequence[ErrorChange]) -> tuple[ErrorChange, ...]:
 
 
 def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:
-    """Return the error over the noise of the output where it is largest, after; NaN for none."""
+    """Return the largest error after over the noise, among the outputs; NaN if there is none."""
     outputs = dict.fromkeys(e.output for e in errors if e.role == role)
     own = [
         pooled_error([e for e in errors if e.output == output], role, after=True)
@@ -311,7 +312,7 @@ def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:
 
 
 def pooled_error(errors: Sequence[ErrorChange], role: Role, *, after: bool) -> float:
-    """Return the root mean square of errors over their noise; NaN where there are none."""
+    """Return the root mean square of the errors over their noise; NaN if there are none."""
     rows = [e for e in errors if e.role == role]
     values = np.array([e.normalised_after if after else e.normalised_before for e in rows])
     samples = np.array([e.samples for e in rows], float)
@@ -322,9 +323,9 @@ def pooled_error(errors: Sequence[ErrorChange], role: Role, *, after: bool) -> f
 
 
 def config_block(effect: NamedEffect) -> str:
-    """Return an entry of `[[effects]]` that starts from the values found.
+    """Return an entry of `[[effects]]` that starts from the estimated values.
 
-    Bounds are those of the search, so that a fit that names the effect finds the same.
+    The bounds are those of the search, so a fit with this entry finds the same values.
     """
     neutral, sections = dict(effect.effect.coefficients), {}
     for estimate in effect.coefficients:
@@ -338,7 +339,7 @@ def config_block(effect: NamedEffect) -> str:
 
 
 def effect_block(effect: Effect, coefficients: Sequence[Parameter]) -> str:
-    """Return the same for an effect whose coefficients are parameters that start as fitted."""
+    """Return an entry of `[[effects]]` for an effect with these parameters as coefficients."""
     neutral, sections = dict(effect.coefficients), {}
     for parameter in coefficients:
         name, bounds = (

@@ -1,8 +1,8 @@
-"""The name of a found effect: what physics calls its law at its place, else what mathematics does.
+"""The name of an effect that was found: from physics if possible, otherwise from mathematics.
 
-Physics names it only where the units of law and place leave no doubt. A wrong name costs more than
-none, so each rule asks for all that makes it true: which rate is changed, by what, in which
-direction, and whether the variable is the one whose rate it is.
+An effect gets a name from physics only if the units of law and site leave no doubt. A wrong name is
+worse than none, so each rule checks everything that the name implies: which rate is changed, by
+which variable, in which direction, and whether this variable is the one whose rate is changed.
 """
 
 from __future__ import annotations
@@ -52,21 +52,21 @@ MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
 
 @dataclass(frozen=True)
 class EffectName:
-    """The name of an effect, and what it was read from.
+    """The name of an effect, and the facts from which it was derived.
 
-    "Viscous friction", or "a term quadratic in v" where the units do not say what it is.
+    Such as "viscous friction", or "a term quadratic in v" if the units do not determine a name.
     """
 
     words: str
     placed: PlacedLaw
 
     def of_law(self, law: Law) -> str:
-        """Return what physics calls another law at the same place; "" if nothing."""
+        """Return the name in physics of another law at the same site; "" if there is none."""
         return physics_of(replace(self.placed, law=law))
 
 
 class Namer:
-    """Names effects of one model, by its FMU and what a config says of its units."""
+    """Names the effects of one model, from the units in its FMU and in the config."""
 
     def __init__(self, description: ModelDescription, units: Mapping[str, str]) -> None:
         self.units = KnownUnits(description, units)
@@ -75,7 +75,7 @@ class Namer:
     def name(
         self, candidate: EffectCandidate, values: Sequence[float], curve: EffectCurve | None
     ) -> EffectName:
-        """Name an effect, by its coefficients and the curve of what it adds, where there is one."""
+        """Name an effect, from its coefficients and its curve, if it has one."""
         law, site = candidate.form.law, candidate.site
         variables = variables_of_effect(candidate)
         known: list[Dimension | None] = [self.units.of(name) for name in variables]
@@ -105,7 +105,7 @@ class Namer:
         return EffectName(words, placed)
 
     def may_be_negative(self, variable: str) -> bool:
-        """Return whether a variable can be below zero: an amount, for one, cannot."""
+        """Return whether a variable can be negative; an amount, for example, cannot."""
         known = self.units.of(variable)
         if known is None or is_difference(variable):
             return True
@@ -120,29 +120,29 @@ ONE_WAVE = {
     Law.PERIODIC_TRAVEL: "a term in the integral of {} that shows only one period in the data",
     Law.PERIODIC_ERROR: "a part that varies over {} and shows only one period in the data",
 }
-"""Of waves as long as they may be: what repeats was not seen to."""
+"""Names of waves with the longest allowed period: the data do not show that they repeat."""
 
 
 def _at_lowest(candidate: EffectCandidate, values: Sequence[float]) -> bool:
-    """Return whether a wave is as long as the search allows it to be."""
+    """Return whether a wave has the longest period that the search allows."""
     numbers = {c.name: i for i, c in enumerate(candidate.form.coefficients)}
     i = numbers.get("n", len(values))
     return i < len(values) and values[i] <= (1.0 + AT_LOWEST) * candidate.lowest[i]
 
 
 AT_LOWEST = 1e-6
-"""Relative distance within which a coefficient is at its bound: that of rounding."""
+"""Relative distance within which a coefficient is at its bound, to allow for rounding."""
 
 
 def _in_mathematics(law: Law, site: EffectSite, variables: tuple[str, ...]) -> str:
-    """The law over the FMU's names of its variables, a difference as "(a - b)"."""
+    """Name the law in mathematics, with the FMU's names of the variables."""
     first, *others = map(bracketed, variables or (site.target,))
     said = law.value.format(v=first, w=others[-1] if others else first, s=site.target)
     return said.replace("a term", "a variation", 1) if site.kind == "parameter" else said
 
 
 def variables_of_effect(candidate: EffectCandidate) -> tuple[str, ...]:
-    """Return the variables of an effect; at rates the state itself, or the pair's difference."""
+    """Return the variables of an effect; by default the state itself, or a pair's difference."""
     site = candidate.site
     if candidate.effect.variables or not candidate.form.variables:
         return candidate.effect.variables
@@ -150,7 +150,7 @@ def variables_of_effect(candidate: EffectCandidate) -> tuple[str, ...]:
 
 
 def _holds_levels(description: ModelDescription, units: KnownUnits) -> bool:
-    """Return whether a model has flows or areas, and nothing that moves."""
+    """Return whether a model has flows or areas, and no moving parts."""
     variables = description.variables.values()
     known = [units.of(v.name) for v in variables if v.kind == "real" and v.unit]
     found = [d for d in known if d is not None]
@@ -160,9 +160,9 @@ def _holds_levels(description: ModelDescription, units: KnownUnits) -> bool:
 
 
 def _way(candidate: EffectCandidate) -> int:
-    """How an input pushes the variable of an effect there: 1 or -1 where it is known, else 0.
+    """Return in which direction an input pushes the variable: 1 or -1, or 0 if not known.
 
-    The bounds of a strength that takes energy out say it.
+    It follows from the bounds of a strength that removes energy.
     """
     if candidate.site.kind != "input":
         return 0
@@ -190,7 +190,7 @@ def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: 
 
 
 def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool:
-    """Return whether the variable is the integral of what is changed."""
+    """Return whether the variable is the integral of the quantity that the effect changes."""
     if curve is None or not curve.integral_of:
         return False
     if candidate.site.kind == "input":  # the search tried only what the input pushes
@@ -201,10 +201,10 @@ def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool
 def _direction(
     candidate: EffectCandidate, law: Law, values: Sequence[float], curve: EffectCurve | None
 ) -> int:
-    """-1 where an effect is against its variable wherever that is not zero, 1 where along it.
+    """Return -1 if an effect always acts against its variable, 1 if always along it, else 0.
 
-    0 where it is neither. Over the range of the data, or around zero where no range is known. Of
-    what begins at a threshold the distance from there counts.
+    The range of the data is used, or values around zero if no range is known. For an effect with a
+    threshold, the distance from the threshold is used instead of the variable.
     """
     if curve is None and law is Law.SWITCH_BY_MAGNITUDE:
         return -1  # its strength is bounded so that it takes energy out
@@ -229,7 +229,7 @@ def _direction(
 def _around_zero(
     candidate: EffectCandidate, values: Sequence[float]
 ) -> Callable[[float], float] | None:
-    """What an effect adds, over its variable, or over its one state where it has one."""
+    """Return an effect as a function of its variable or only internal state; None if unknown."""
     form = candidate.form
     if form.memory or form.free or form.variables != 1 or len(values) != len(form.coefficients):
         return None
@@ -253,24 +253,28 @@ def _around_zero(
 
 @dataclass(frozen=True)
 class PlacedLaw:
-    """A law where it acts.
+    """A law at a site.
 
     Attributes
     ----------
     kind, site
-        Of its site, and the dimension of the state whose rate it changes, or of the signal.
+        Kind of the site; dimension of the signal there, or of the state whose rate is changed.
     argument, second
-        Dimensions of its variables; None where there is none or its unit is unknown.
-    own, own_position
-        Its variable is what it changes (the state of the rate, the difference of the pair, or a
-        state that the input is known to push, and in which direction), or the integral of that.
-    loss, gain
-        It takes from what it changes where its variable is positive, or beyond a threshold, and
-        gives where that is negative; or the other way round.
+        Dimensions of the variables; None if there is no such variable or its unit is unknown.
+    own
+        Whether the variable is the quantity that the effect changes: the state of the rate, the
+        difference of the pair, or a state that the input is known to push in a known direction.
+    own_position
+        Whether the variable is the integral of this quantity.
+    loss
+        The effect decreases the quantity if the variable is positive, or beyond a threshold, and
+        increases it if the variable is negative.
+    gain
+        The opposite of `loss`. Both may be false.
     one_sided
-        Its variable kept one sign in the data.
+        Whether the variable had the same sign in all data.
     level
-        A length is the level of a fluid: the model has flows or areas, and nothing that moves.
+        Whether a length is the level of a fluid: the model has flows or areas, and no moving parts.
     """
 
     law: Law
@@ -291,14 +295,14 @@ class PlacedLaw:
 
     @property
     def feeds_energy(self) -> bool:
-        """It pushes a body the way that it moves, whichever way that is."""
+        """The effect pushes a body in its direction of motion."""
         speed = _pushes(self) if self.site is not None and self.argument is not None else None
         along = speed is not None and self.argument is not None and self.argument.same_as(speed)
         return along and self.own and self.gain
 
 
 def physics_of(placed: PlacedLaw) -> str:
-    """Return what physics calls a law at its place; "" where the units do not say."""
+    """Return the name in physics of a law at a site; "" if the units do not determine one."""
     if placed.site is None or placed.kind == "output":
         return ""
     if placed.law in (Law.CONSTANT, Law.OFFSET):
@@ -308,7 +312,7 @@ def physics_of(placed: PlacedLaw) -> str:
 
 
 def _pushes(placed: PlacedLaw) -> Dimension | None:
-    """The speed that is changed by what a law adds; None where it is no speed."""
+    """Return the dimension of the speed that a law changes; None if it changes no speed."""
     assert placed.site is not None
     if placed.at_rates:
         return next((d for d in (SPEED, TURNING) if placed.site.same_as(d)), None)
@@ -329,7 +333,7 @@ FRICTION = {
     Law.SWITCH_BY_CURVE: "Coulomb friction that depends on {w}",
     Law.HYSTERESIS: "presliding friction (Dahl model)",
 }
-"""Of a body against its surroundings, or of two against each other."""
+"""Names for friction of a body against its surroundings, or between two bodies."""
 SPRING = {
     Law.LINEAR: "stiffness (a spring)",
     Law.CUBE: "stiffness that grows with the deflection",
@@ -385,7 +389,7 @@ def _heat(placed: PlacedLaw) -> str:
 
 
 def _flow(placed: PlacedLaw) -> str:
-    """A fluid that leaves, or goes from one place to another."""
+    """Name the flow of a fluid out of a store, or from one store to another."""
     assert placed.site is not None
     stocks = (PRESSURE, VOLUME, LENGTH) if placed.level else (PRESSURE, VOLUME)
     if placed.argument is None or not placed.loss or not placed.argument.same_as(*stocks):
@@ -407,7 +411,7 @@ def _flow(placed: PlacedLaw) -> str:
 
 
 def _stock(placed: PlacedLaw) -> str:
-    """A loss of what else can be stored."""
+    """Name the loss of another quantity that can be stored."""
     assert placed.site is not None
     if not placed.loss or not placed.own or not placed.at_rates:
         return ""
@@ -425,7 +429,7 @@ def _stock(placed: PlacedLaw) -> str:
 
 
 def _kinetics(placed: PlacedLaw) -> str:
-    """Rates that an amount limits."""
+    """Name a reaction rate that an amount limits."""
     known = placed.argument
     if known is None:
         return ""

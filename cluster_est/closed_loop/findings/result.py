@@ -1,4 +1,4 @@
-"""The result of a closed loop."""
+"""The result of a search for missing effects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from workers.messages.types import by_content
 
 
 class ErrorScale(enum.StrEnum):
-    """The divisor of normalised errors. A member's text is what run.json carries."""
+    """The divisor of normalised errors, with its text in run.json."""
 
     SIGMA = "sigma"
     ESTIMATED_NOISE = "estimated noise"
@@ -52,58 +52,61 @@ class ErrorScale(enum.StrEnum):
 @by_content
 @dataclass(frozen=True, repr=False)
 class LoopResult(ResultView):
-    """The result of a closed loop. What it shares with a `Result` is that of the last fit.
+    """The result of a search for missing effects.
+
+    The attributes that it shares with `Result` are those of the last fit.
 
     Attributes
     ----------
     verdict, message
-        In a word and in a paragraph.
+        The verdict, and the summary as a paragraph.
     effects
-        Those that were added; empty unless the verdict is "found" or "partial".
+        The effects that were added; empty unless the verdict is "found" or "partial".
     before, after
-        Fits of the declared model, and with the effects; the same where nothing was added.
+        Fits of the declared model and of the model with the effects. They are the same fit if
+        nothing was added.
     errors
-        For each output of each experiment.
+        Errors of each output of each experiment.
     findings
-        Every candidate of every step.
+        All candidates of all steps.
     rejected
-        Leads where the verdict is "unexplained": effects that did not pass, or those of the best
-        set tried. `claim` says how often such leads were right.
+        If the verdict is "unexplained", the leads: effects that were not accepted, or the effects
+        of the best set that was tried. `claim` says how often such leads were right.
     noise
-        Estimated standard deviation of each output's noise, in the output's unit; empty with
-        process noise, where it is the given sigma.
+        Estimated standard deviation of each output's noise, in the output's unit. Empty with
+        process noise, where the given sigma is used.
     sites
-        Every site that was open.
+        All sites at which effects were allowed.
     notes
-        For the reader: closed sites, no held-out experiment, sigma at odds with noise.
+        Notes for the reader, such as no held-out experiment, or a sigma that contradicts the noise.
     simulations
-        In units of one experiment's full length.
+        Number of simulations, in units of one experiment's full length.
     simulated, evaluations, failures, seconds
-        Its cost.
+        Numbers of simulated experiments, evaluated points and failed simulations; duration.
     curves
-        Of the effects that were added.
+        Curves of the added effects.
     errors_over
         The divisor of the normalised errors.
     structures
-        Every set of effects that was refitted: the path of the search. If the verdict is "found",
-        with the probability of each; `likely` has those that hold 90 %.
+        All sets of effects that were refitted: the path of the search. If the verdict is "found",
+        they have probabilities; `likely` has the sets with 90 % of the probability.
     failures_in_search
-        How many of the failures came while effects were tried: one that does not fit makes a model
-        that cannot be simulated, and is put aside.
+        Number of failures while effects were tried. If the model cannot be simulated with an
+        effect, the effect is not used.
     unexplained
-        What is left of each output beyond its noise, where the verdict is "partial" or
-        "unexplained": its size, and how fast it is. The largest over its noise comes first.
+        The part of each output's residual beyond its noise, if the verdict is "partial" or
+        "unexplained": its size and period. The part that is largest over its noise comes first.
     resampled
-        How often the effects are chosen where the training experiments are drawn anew, in a
-        sentence; "" where that is not known.
+        A sentence on how often the effects are chosen in resamplings of the training experiments;
+        "" if that is not known.
     competing
-        What was found and the rivals that the data do not rule out, as they fit: what `design`
-        plans an experiment for. Empty where nothing was added, and with process noise.
+        The fitted model that was found, and the rivals that the data do not exclude. `design` plans
+        an experiment that distinguishes them. Empty if nothing was added, and with process noise.
     process_noise
-        Its strength before and after; empty where nothing was added.
+        Strength of the process noise before and after; empty if nothing was added.
     left_out
-        Times of the samples that were left out as outliers, by experiment and output: what the key
-        `left_out` of an experiment says.
+        Times of the samples that were left out as outliers, by experiment and output. The key
+        `left_out` of an experiment takes these times.
     """
 
     verdict: Verdict
@@ -133,18 +136,18 @@ class LoopResult(ResultView):
     left_out: Mapping[str, Mapping[str, Sequence[float]]] = dataclasses.field(default_factory=dict)
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
-        """Root mean square of the normalised errors before or after; NaN without any.
+        """Return the root mean square of the normalised errors before or after; NaN if unknown.
 
-        Both are of the experiments that were simulated before and after.
+        It is taken over the experiments that could be simulated both before and after.
         """
         return pooled_error(comparable(self.errors), role, after=when == "after")
 
     @property
     def likely(self) -> tuple[ComparedStructure, ...]:
-        """The fewest sets of effects that hold 90 % of the probability, and what was added.
+        """The fewest sets of effects with 90 % of the probability, and the set that was added.
 
-        The likeliest first; the declared model may be one of them. Empty unless the verdict is
-        "found": what else is missing would change their order.
+        The likeliest set comes first; the declared model may be one of them. Empty unless the
+        verdict is "found": otherwise the part that is still missing could change their order.
         """
         return likely_structures(self.structures)
 
@@ -159,7 +162,7 @@ class LoopResult(ResultView):
 
     @property
     def x(self) -> dict[str, float]:
-        """Physical values by label, those of the effects' coefficients among them."""
+        """Physical values by label, including the coefficients of the effects."""
         return self.after.x
 
     @property
@@ -176,7 +179,7 @@ class LoopResult(ResultView):
 
     @property
     def nfev(self) -> int:
-        """Points that were asked for."""
+        """Number of evaluated points."""
         return self.evaluations
 
     @property
@@ -185,12 +188,12 @@ class LoopResult(ResultView):
 
     @property
     def final(self) -> Result:
-        """The fit with the effects, beside the curves of the declared model fitted."""
+        """The fit with the effects; its curves before are those of the fitted declared model."""
         return replace(self.after, before=self.before.simulations)
 
     @property
     def search_seconds(self) -> float:
-        """Seconds until the last fit had ended."""
+        """Duration in seconds, up to the end of the last fit."""
         return self.after.seconds
 
     @property

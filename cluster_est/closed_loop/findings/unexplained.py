@@ -1,4 +1,4 @@
-"""What nothing explains: its size, its spectrum, and unused columns that vary with it."""
+"""The unexplained part of a residual: its size, its spectrum, and unused columns related to it."""
 
 from __future__ import annotations
 
@@ -18,34 +18,37 @@ from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
 
 SHARE_OF_POWER = 0.9
-"""Share of the power that lies below the frequency that is named."""
+"""Share of the power below the frequency that is reported."""
 
 MOST_EVEN_STEPS = 2.0
-"""Times its samples that a record may have even steps: of one with long gaps, or sampled far more
-slowly than others, a spectrum would be that of straight lines."""
+"""Largest number of evenly spaced steps for each sample of a record. In a record with long gaps, or
+with samples that are much rarer than in other records, interpolation would determine the
+spectrum."""
 
 NARROW = 0.5
-"""Share of the power in one peak from which on it is named."""
+"""Least share of the power in one peak for which its period is reported."""
 
 
 @dataclass(frozen=True)
 class UnexplainedResidual:
-    """The part of an output beyond its noise that nothing explains.
+    """The part of an output's residual that neither the noise nor an effect explains.
 
     Attributes
     ----------
     output, unit
-        Of the measured variable.
+        Name and unit of the measured variable.
     size
         Root mean square in that unit, without the noise.
     over_noise
-        The same over the standard deviation of the noise; NaN where there is no noise.
+        The same, divided by the standard deviation of the noise; NaN if there is no noise.
     shortest_period
-        Seconds: nine tenths of its power are in slower swings; NaN for records that are too short.
+        Nine tenths of its power have periods above this value, in seconds; NaN if the records are
+        too short.
     period
-        Seconds, of a single swing that has more than half of the power; else NaN.
+        Period in seconds of a single oscillation with more than half of the power; NaN if there is
+        none.
     columns
-        Columns of the tables that are not used and vary with it, each in a sentence.
+        Sentences on unused columns of the tables that are related to it.
     """
 
     output: str
@@ -58,7 +61,7 @@ class UnexplainedResidual:
 
     @property
     def sentence(self) -> str:
-        """Say how large it is, and how fast."""
+        """Give its size and its periods."""
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         said = f"{self.size:.3g}{unit} rms at {self.output}"
         if np.isfinite(self.over_noise):
@@ -74,7 +77,7 @@ class UnexplainedResidual:
 def unexplained_residuals(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[UnexplainedResidual, ...]:
-    """Describe what a fit leaves of each output beyond its noise, (outputs,); the largest first."""
+    """Describe each output's residual beyond its noise, (outputs,); the largest first."""
     records, sigmas = fitter.records, fitter.sigmas
     found = []
     for number, name in enumerate(records.outputs):
@@ -105,7 +108,7 @@ def unexplained_residuals(
 def _periods(
     residuals: FloatArray, records: Sequence[OutputRecord], noise: float
 ) -> tuple[float, float]:
-    """The shortest period of most of the power, and the one of a single peak; NaN for neither.
+    """Return the shortest period of most of the power, and the period of a single peak, or NaN.
 
     The power is that of Welch's method, doi:10.1109/TAU.1967.1161901, less that of white noise.
     """
@@ -149,42 +152,44 @@ def _usual_step(records: Sequence[OutputRecord]) -> float:
 
 
 def _even_times(record: OutputRecord, step: float) -> FloatArray:
-    """The times of a record at even steps."""
+    """Return evenly spaced times over a record."""
     count = int((record.times[-1] - record.times[0]) / step + 1e-6) + 1
     return np.asarray(record.times[0] + step * np.arange(count))
 
 
 MOST_COLUMNS = 200
-"""Columns that are looked at; the first ones of the tables."""
+"""Largest number of columns that are tested: the first ones of the tables."""
 
 MOST_NAMED_COLUMNS = 3
-"""Columns that are named."""
+"""Largest number of columns that are reported."""
 
 COPY = 0.9999
-"""Correlation with something that is used from which on a column is a copy of it."""
+"""If a column's correlation with a used signal is above this value, it is a copy of this signal."""
 
 PERIODIC = 0.5
-"""Share of a column's variance, in every record, that makes a period its own."""
+"""A column has a period if an oscillation with this period has this share of its variance in every
+record."""
 
 SWINGS = 3.0
-"""Periods that a record must have for that."""
+"""Least number of such periods in a record."""
 
 
 @dataclass(frozen=True)
 class VaryingColumn:
-    """A column that is not used and varies with a residual.
+    """An unused column of a table that is related to a residual.
 
     Attributes
     ----------
     share
-        Of the variance of the output's residual that the column carries, at once and late.
+        Share of the variance of the output's residual that the column explains, with and without
+        a delay.
     p
-        The probability of as much by chance among all columns and outputs that were looked at; NaN
-        where only the period is the same.
+        Probability of such a share by chance, among all columns and outputs that were tested; NaN
+        if only the period is the same.
     period
-        Seconds, where only that is the same; else NaN.
+        Period in seconds, if only the period is the same as that of the residual; otherwise NaN.
     silent
-        Inputs of the FMU that nothing drives: it may belong there.
+        Inputs of the FMU without data. The column may be the data of one of them.
     """
 
     column: str
@@ -196,10 +201,11 @@ class VaryingColumn:
 
     @property
     def sentence(self) -> str:
-        """Say what it has to do with the residual, and what to try."""
+        """Say how it is related to the residual, and what to try."""
         name = f"the unused column {self.column!r}"
         if np.isfinite(self.period):
-            return f"{name} has the same period, {readable_time(self.period)}: {self._advice}"
+            period = readable_time(self.period)
+            return f"{name} has the same period as the residual, {period}: {self._advice}"
         return (
             f"{name} explains {self.share:.0%} of the residual of {self.output}: {self._advice}, "
             "unless the column is itself a consequence of the output"
@@ -215,10 +221,11 @@ class VaryingColumn:
 def varying_columns(
     fitter: Fitter, residuals: FloatArray, significance: float, period: float = np.nan
 ) -> tuple[VaryingColumn, ...]:
-    """Name unused columns that vary with a residual, by more than chance; the surest first.
+    """Return unused columns that are significantly related to a residual, the surest first.
 
-    Their p-values, corrected for all columns and outputs, are not above the significance. Where
-    there are none and the residual has a period, in seconds, columns with the same one are named.
+    Their p-values, corrected for all columns and outputs, are at most `significance`. If there are
+    no such columns and the residual has a `period`, in seconds, the columns with the same period
+    are returned.
     """
     tables = _tables(fitter)
     names = _common(tables)
@@ -249,7 +256,7 @@ def varying_columns(
 
 @dataclass(frozen=True)
 class _Pair:
-    """Residual and column of a record at even steps, and what is driven there."""
+    """Residual and column of a record at evenly spaced times, and the inputs there."""
 
     residual: FloatArray
     column: FloatArray
@@ -258,14 +265,14 @@ class _Pair:
 
 
 def _tables(fitter: Fitter) -> list[UnusedColumns]:
-    """Unused columns of each training experiment; none if one has no table."""
+    """Return the unused columns of each training experiment; none if one has no table."""
     sources = {source.experiment: source for source in fitter.problem.tables}
     ids = [run.record_id for run in fitter.runs]
     return [sources[name].unused() for name in ids] if all(n in sources for n in ids) else []
 
 
 def _common(tables: Sequence[UnusedColumns]) -> list[str]:
-    """Columns that every table has, in the order of the first."""
+    """Return the columns that every table has, in the order of the first table."""
     first = tables[0].values if tables else ()
     return [n for n in first if all(n in each.values for each in tables)][:MOST_COLUMNS]
 
@@ -277,9 +284,9 @@ def _pairs(
     output: int,
     name: str,
 ) -> list[_Pair]:
-    """Residual and column of each record of an output, at even steps.
+    """Return residual and column of each record of an output, at evenly spaced times.
 
-    None where the column is missing in one of them, or is a copy of what is used.
+    Empty if the column is missing in one of the records, or is a copy of a used signal.
     """
     records = [r for r in fitter.records.items if r.output == output and len(r.times) > 2]
     if not records:
@@ -300,7 +307,7 @@ def _pairs(
 
 
 def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:
-    """Return whether a column says what an input, signal or output says already, or the time."""
+    """Return whether a column is a copy of an input, a signal, an output or the time."""
     used = [(e.times, e.values) for e in (*experiment.inputs, *experiment.signals)]
     used += [(o.times, o.values) for o in experiment.outputs if len(o.times)]
     series = [times, *(np.interp(times, when, values) for when, values in used)]

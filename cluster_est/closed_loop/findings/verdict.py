@@ -1,8 +1,8 @@
-"""The verdict of a closed loop, with its reason.
+"""The verdict of a search for missing effects, with its reason.
 
-It is made in two steps. `judge` looks at the training experiments as the search left them;
-`confirmed` looks at what is left after the final fits, on training and on held-out data, and can
-only take away.
+It is made in two steps. `judge` uses the training experiments at the end of the search. `confirmed`
+uses the remaining errors after the last fits, on training and on held-out data. The second step can
+only make the verdict weaker.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
-"""Verdicts with which effects are added."""
+"""Verdicts that add effects to the model."""
 HELD_OUT_ERROR = 1.15
-"""Error on held-out data over that of training up to which both may be noise alone. Signal: with
-ten samples or more for each estimate, what is uncertain of these adds less."""
+"""Largest ratio of the held-out error to the training error with which both may be noise alone.
+Signal: with ten or more samples for each estimate, the uncertainty of the estimates adds less."""
 RARE = 1e-3
-"""Probability of a larger one by chance, from which it is none. By definition."""
+"""A larger ratio is not chance if its probability by chance is below this value. By definition."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,17 @@ class ReasonedVerdict:
     Attributes
     ----------
     closed, least
-        Share of the gap to the noise that the effects close on the training experiments, and that
+        Share of the gap to the noise that the effects close on the training experiments; share that
         they must close on held-out data.
     declared, filtered
-        A sigma is declared; errors are innovations of a filter.
+        Whether a sigma is declared; whether the errors are innovations of a filter.
     noise
-        Of outputs whose declared sigma is far too large, the noise, in units of that sigma.
+        For outputs whose declared sigma is far too large: the noise, in units of this sigma.
     floor
-        Error that the noise alone makes, over what errors are compared with: above 1 where a
-        declared sigma is far too small.
+        Error that the noise alone causes, in units of `over`. It is above 1 if a declared sigma is
+        far too small.
     independent
-        Share of the samples that are independent: fewer than all where residuals have a memory.
+        Share of the samples that are independent; below 1 if the residuals are autocorrelated.
     """
 
     verdict: Verdict
@@ -84,13 +84,13 @@ class ReasonedVerdict:
     independent: float = 1.0
 
     def refused(self, against: str) -> ReasonedVerdict:
-        """Return the verdict where something speaks against the effects that it claims."""
+        """Return the verdict "unexplained", with a reason against the effects that were claimed."""
         reason = f"{self.reason}; but {against}, so nothing was added"
         return replace(self, verdict=Verdict.UNEXPLAINED, reason=reason)
 
     @property
     def over(self) -> str:
-        """Return what errors are compared with."""
+        """The unit of the errors, in words."""
         if self.filtered:
             return "the spread that noise alone explains"
         return "the declared sigma" if self.declared and not self.noise else "the noise"
@@ -98,11 +98,11 @@ class ReasonedVerdict:
 
 @dataclass(frozen=True)
 class _Residual:
-    """The residual of a model: beside its noise, and its structure.
+    """The residual of a model, compared with the noise, and its structure.
 
-    `excess` is that of its squares over those of the white part of the noise, of all outputs or of
-    the one with the most; `structured` says that it is smooth, and larger; `of_sensors` that it may
-    be the noise of sensors for all that.
+    `excess` is the squared residual over the squared noise, minus 1, of all outputs or of the
+    output with the largest excess. `structured` says that the residual is smooth and larger than
+    the noise. `of_sensors` says that it may still be sensor noise.
     """
 
     outputs: tuple[OutputNoise, ...]
@@ -112,13 +112,13 @@ class _Residual:
 
     @property
     def within_sigma(self) -> bool:
-        """It is coloured, and no larger than the sigmas that are declared, which are believed."""
+        """The residual is coloured, and within declared sigmas that the data do not contradict."""
         within = all(o.believed and o.within and not o.filtered for o in self.outputs)
         return within and any(o.coloured for o in self.outputs)
 
     @property
     def missing(self) -> str:
-        """Say that something is missing, or that noise which was filtered would look the same."""
+        """Say that the model lacks something, or that filtered noise would look the same."""
         if all(o.believed and o.no_larger and not o.filtered for o in self.outputs):
             smooth = [o.output for o in self.outputs if o.drifts]
             if smooth:
@@ -132,7 +132,7 @@ class _Residual:
 
     @property
     def level(self) -> str:
-        """Say how large it is, beside what."""
+        """Give the size of the residual and its unit."""
         worst = max(self.outputs, key=lambda o: o.level, default=None)
         if worst is None:
             return f"the residual is {np.sqrt(1.0 + self.excess):.2f} times the noise"
@@ -143,7 +143,7 @@ class _Residual:
 
 
 def judge(fitter: Fitter, found: SelectionResult) -> ReasonedVerdict:
-    """Judge from the training experiments alone; the held-out ones may only take away."""
+    """Judge from the training experiments; held-out data can only weaken the verdict later."""
     base = _residual(fitter, found, found.base, found.steps[0])
     now = _residual(fitter, found, found.current, found.last)
     judged = _judged(fitter, found, base, now)
@@ -211,7 +211,7 @@ def _judged(
 
 
 def _nothing(found: SelectionResult) -> str:
-    """Say that nothing explains it, and where the search was told to look, or to end."""
+    """Say that no effect explains the residual, and which settings limited the search."""
     settings = found.settings
     narrowed = settings.forms or settings.sites
     among = "among the forms and sites that closed_loop allows" if narrowed else "in the library"
@@ -283,7 +283,7 @@ def _why_not(why: RejectionReason | None) -> str:
 
 
 def _coloured(found: SelectionResult, now: _Residual) -> str:
-    """Why what is left counts as coloured noise, though some effect may carry a part of it."""
+    """Say why the residual counts as coloured noise, although an effect may explain a part."""
     why, screening = found.last.why, found.last.screening
     if why == RejectionReason.NOT_SIGNIFICANT:
         rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
@@ -304,7 +304,7 @@ def _p(found: SelectionResult) -> str:
 
 
 def _autocorrelated(residual: _Residual) -> str:
-    """Say that a residual is the coloured noise of sensors, and how large it is."""
+    """Say that a residual may be coloured sensor noise, and give its size."""
     worst = max(residual.outputs, key=lambda o: abs(o.correlation), default=None)
     if worst is None:
         return "the residual is autocorrelated"
@@ -329,7 +329,7 @@ def _autocorrelated(residual: _Residual) -> str:
 def _residual(
     fitter: Fitter, found: SelectionResult, fitted: FittedModel, at: SelectionRound
 ) -> _Residual:
-    """Look at what a model leaves, with the screening of the round that began at it."""
+    """Return the residual of a model, with the screening of the round that began with it."""
     outputs = residual_noise(fitter, fitted, found.noise)
     excess = _excess(fitter, fitted, found.noise)
     screening = at.screening
@@ -344,7 +344,7 @@ def _residual(
 
 
 def _excess(fitter: Fitter, fitted: FittedModel, noise: FloatArray) -> float:
-    """Squares over those of the noise, less 1: of all outputs, or of the one with the most."""
+    """Return squared residual over squared noise, minus 1: all outputs, or the worst one."""
     parts = fitter.records.by_output(fitted.residuals)
     alone = [
         float(np.mean(part**2) / level**2)
@@ -355,9 +355,9 @@ def _excess(fitter: Fitter, fitted: FittedModel, noise: FloatArray) -> float:
 
 
 def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[float, float]:
-    """Shares of the gap to the noise that are closed, in training and in prediction.
+    """Return the closed shares of the gap to the noise, in training and in prediction.
 
-    The noise is the declared sigma where the data do not contradict it, else the estimate.
+    The noise is the declared sigma if the data do not contradict it, otherwise the estimate.
     """
     floor = fitter.noise_floor(believed_noise(fitter, now.outputs, found.noise))
     base, last = found.base.sse, found.current.sse
@@ -370,7 +370,7 @@ def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[flo
 def confirmed(
     judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
 ) -> ReasonedVerdict:
-    """Return the verdict after the final fits: what is left on training and on held-out data."""
+    """Return the verdict after the last fits, from the training and the held-out errors."""
     if judged.verdict not in CLAIMS:
         return judged
     against = veto(judged, errors, settings)
@@ -402,9 +402,10 @@ def confirmed(
 def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:
     """Return whether an output's held-out error is above that of all training experiments.
 
-    If both are noise alone the quotient of the squares is that of the F distribution; estimates
-    that are uncertain add to what is predicted, so a part more is allowed for. Experiments may
-    differ in their noise, so the one with the largest error is what counts.
+    If both errors are noise alone, the ratio of their squares has an F distribution. The
+    uncertainty of the estimates makes predictions worse, so a ratio up to `HELD_OUT_ERROR` is
+    allowed. Experiments may differ in their noise, so the training experiment with the largest
+    error is used.
     """
     for output in dict.fromkeys(e.output for e in errors if e.role == "test"):
         own = [e for e in errors if e.output == output]
@@ -424,7 +425,7 @@ def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:
 
 
 def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings) -> str:
-    """Return what held-out data have against the effects that a verdict claims; "" for nothing."""
+    """Return why held-out data contradict the claimed effects; "" if they do not."""
     if judged.verdict not in CLAIMS:
         return ""
     near, errors = settings.near_noise, over_noise(errors, judged.noise)

@@ -55,33 +55,33 @@ class AcceptanceThresholds:
 ACCEPTANCE = AcceptanceThresholds()
 
 FEW_EXPERIMENTS = 2
-"""Up to so many experiments, parts of their records are left out instead: without one there would
-be one left, or none."""
+"""With at most this number of experiments, parts of records are left out instead of experiments,
+because too few experiments would remain."""
 QUARTERS = 4
-"""Parts of a record that is left out in parts."""
+"""Number of parts of a record, if parts are left out."""
 TINY = float(np.finfo(float).tiny)
 STEPS_WITHOUT_PART = 6
-"""Of a refit without a part, which starts close to its end."""
+"""Largest number of steps of a refit without a part, which starts close to its solution."""
 FIRST_DAMPING = 1e-5
-"""Of its first step, over the squares of the derivatives: what the other parts do not determine
-stays."""
+"""Damping of the first step, over the squares of the derivatives. With it, unknowns that the other
+parts do not determine keep their values."""
 
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 BETTER_PARTS = 2.0 / 3.0
-"""Share of the parts left out that a structure must predict better, of those that tell any
+"""Least share of the left-out parts that a structure must predict better, among the parts with a
 difference. By definition: most of them."""
 TOLD_APART = 0.01
-"""Difference of a part's squares, over the mean of the parts before, below which it tells none. By
+"""Least difference of a part's squares, over the mean of all parts before, that counts. By
 definition: an effect that acts in few parts changes nothing in the others."""
 
 
 @dataclass(frozen=True)
 class LeaveOneOutPrediction:
-    """A sum of squares for each part that was left out.
+    """The sum of squared errors of each part that was left out.
 
-    `quarters` says that the parts are quarters of records. One that is extrapolated, such as the
-    first, may have nearly all of the squares, so each quarter counts as much as the others.
+    `quarters` says that the parts are quarters of records. A quarter that is extrapolated, such as
+    the first one, may have nearly all of the squares. So all quarters have the same weight.
     """
 
     squares: FloatArray
@@ -92,14 +92,14 @@ class LeaveOneOutPrediction:
         return float(self.squares.sum())
 
     def closes(self, other: LeaveOneOutPrediction, floor: float = 0.0, least: float = 0.0) -> float:
-        """Return the share of the gap between another's squares and noise that is closed.
+        """Return the closed share of the gap between another prediction's squares and the noise.
 
         Parameters
         ----------
         floor
             Sum of squares that the noise alone would leave.
         least
-            Share of it that a gap counts as at least.
+            Least size of the gap, as a share of `floor`.
         """
         if not self.quarters:
             return (other.total - self.total) / max(other.total - floor, least * floor, TINY)
@@ -119,9 +119,10 @@ class LeaveOneOutPrediction:
 def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
     """Predict each training experiment from a fit to the others.
 
-    What acts on the left-out part alone, as its initial state, follows by the linear model. With
-    one or two experiments, quarters of their records take the experiments' place; there initial
-    states keep their values, as a record's first quarter is all that says where it began.
+    Unknowns that act only on the left-out part, such as its initial state, are estimated with the
+    linear model. With one or two experiments, quarters of their records are left out instead. The
+    initial states then keep their values, because only the first quarter of a record determines
+    them.
     """
     parts = _parts(fitter)
     whole = len(parts) == len(fitter.train)

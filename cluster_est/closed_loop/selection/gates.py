@@ -1,10 +1,10 @@
 """The gates that a larger structure must pass to take the place of the accepted one.
 
-Each has a name by which a setting leaves it out, a threshold, and an origin of that: "theory" names
-a result, "signal" is a property of measured data or of a simulation, "setting" is a key of
-`[closed_loop]`, and "benchmark" means that no theory gives it: the rates of
-`scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune it on the systems there that
-say `split="tune"`, never on the others.
+Each gate has a name, with which a setting can leave it out, a threshold, and the origin of this
+threshold. "theory" names a result of theory. "signal" is a property of measured data or of a
+simulation. "setting" is a key of `[closed_loop]`. "benchmark" means that no theory gives the value:
+the rates in `scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune such a value
+only on the benchmark systems with `split="tune"`, never on the others.
 """
 
 from __future__ import annotations
@@ -47,18 +47,20 @@ class SelectionThresholds:
     Attributes
     ----------
     choice_price
-        Logarithms of the number of candidates that the gain must pay for. Theory: a Bonferroni
-        correction, twice the logarithm on the scale of the criterion.
+        The gain must exceed the logarithm of the number of candidates, times this number. Theory: a
+        Bonferroni correction; on the scale of the criterion, the logarithm counts twice.
     pair_price
-        The same, of two effects in the place of one. Theory: the pairs are as many as the square.
+        The same number for two effects instead of one. Theory: the number of pairs grows as the
+        square of the number of candidates.
     solo_gain
-        Gain of the criterion with which an effect may live in a minority of the experiments.
+        Gain of the criterion above which an effect may act in a minority of the experiments.
         Benchmark.
     minority
-        Share of the experiments that is one. By definition.
+        Largest share of the experiments that is a minority. By definition.
     autoregression
-        Order of the noise that a gain is compared with. Signal: the noise of a sensor with that of
-        a process on it is no autoregression of low order; the order up to which intervals look.
+        Order of the autoregression with which a gain is compared. Signal: sensor noise with process
+        noise added is not an autoregression of low order. The intervals of a fit use lags up to the
+        same order.
     """
 
     choice_price: float = 2.0
@@ -71,25 +73,25 @@ class SelectionThresholds:
 SELECTION = SelectionThresholds()
 
 TRIED = 4
-"""Proposals of a round that are asked at most, where the first ones predict badly."""
+"""Largest number of proposals that are tested in a round, if the first ones predict badly."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """The best proposal of a round, and what it predicts.
+    """The best proposal of a round, and its prediction.
 
     Attributes
     ----------
     begun
-        The round.
+        The structure with which the round began.
     chosen, after
         The proposal, and its leave-one-out prediction.
     gain
-        Of the criterion, less what the choice among the candidates must pay.
+        Gain of the criterion, minus the penalty for the choice among the candidates.
     closed
-        Share of the gap between predictions and noise that it closes.
+        Share of the gap between the error of predictions and the noise that the proposal closes.
     coloured
-        Autocorrelated noise would explain as much.
+        Whether autocorrelated noise would explain as much.
     """
 
     begun: RoundStart = field(repr=False)
@@ -101,7 +103,7 @@ class Attempt:
 
     @property
     def of_few(self) -> bool:
-        """A minority of the experiments fits clearly better, and by much."""
+        """Whether the fit improves only in a minority of the experiments, but there by much."""
         current, grown = self.begun.model, self.chosen.fitted
         few = _improved(current, grown) <= SELECTION.minority
         return self.gain > SELECTION.solo_gain and few
@@ -113,7 +115,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Stop:
-    """What ends a search before anything is proposed; without a part it cannot be left out."""
+    """A condition that ends a search before a proposal; without a part, it cannot be left out."""
 
     part: LoopPart | None
     refuses: Callable[[RoundStart], bool]
@@ -123,12 +125,12 @@ class Stop:
 
 @dataclass(frozen=True)
 class Filter:
-    """What refuses proposals of a round before the best of them is chosen; see `Gate`.
+    """A condition that refuses proposals of a round before the best one is chosen; see `Gate`.
 
     Attributes
     ----------
     kept
-        Those that pass, the one to be chosen first.
+        A function that returns the proposals that pass; the first of them is to be chosen.
     """
 
     part: LoopPart
@@ -140,18 +142,18 @@ class Filter:
 
 @dataclass(frozen=True)
 class Gate:
-    """What refuses the best proposal of a round.
+    """A condition that refuses the best proposal of a round.
 
     Attributes
     ----------
     part
-        Its name.
+        Name of the gate.
     refuses
-        Whether it does; it may simulate.
+        A function that returns whether the gate refuses a proposal. It may simulate.
     reason
-        What the summary says then.
+        The reason that the summary then gives.
     threshold, origin
-        The number that it compares with, where it is one of its own; where it comes from.
+        Threshold of the gate, and its origin.
     """
 
     part: LoopPart
@@ -254,7 +256,7 @@ GATES = (
 """In the order in which they are asked."""
 
 OF_ONE_STRUCTURE = (LoopPart.PREDICTION, LoopPart.LEAST_GAIN)
-"""Gates that say nothing of structures that fit worse: others refuse them too."""
+"""Gates whose refusal of one structure says nothing about structures that fit worse."""
 
 
 def reason_to_stop(begun: RoundStart) -> RejectionReason | None:
@@ -322,7 +324,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
 
 
 def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: FittedModel) -> bool:
-    """Return whether a grown model stays bounded, and the search can go on from it in any case."""
+    """Return whether the search can continue with a model, which must also stay bounded."""
     if begun.has(LoopPart.BOUNDED):
         return is_usable(fitter, fitted, trusted)
     return can_be_linearised(fitter, fitted)
@@ -331,7 +333,7 @@ def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: F
 def _curve_does_most(begun: RoundStart) -> bool:
     """Return whether a free curve or filter is in a structure that closes what a claim needs.
 
-    What lines between a few values leave of a smooth function is far less than the rest.
+    The error of a free curve, which has straight lines between a few values, is far smaller.
     """
     free = any(candidate.form.free for candidate in begun.model.added)
     closed = begun.base.sse - begun.model.sse
@@ -341,13 +343,13 @@ def _curve_does_most(begun: RoundStart) -> bool:
 def _improving(
     records: StackedRecords, begun: RoundStart, contenders: Sequence[RefittedCandidate]
 ) -> list[RefittedCandidate]:
-    """The contenders whose criterion is better than that of the accepted structure."""
+    """Return the contenders with a better criterion than the accepted structure."""
     most = begun.model.criterion(records)
     return [c for c in contenders if c.criterion < most]
 
 
 def _gain(records: StackedRecords, begun: RoundStart, chosen: RefittedCandidate) -> float:
-    """Gain of the criterion, less what the choice among the candidates must pay."""
+    """Return the gain of the criterion, minus the penalty for the choice among the candidates."""
     penalty = _choice_penalty(begun, chosen)
     return float(begun.model.criterion(records) - chosen.criterion - penalty)
 

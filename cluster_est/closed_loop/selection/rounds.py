@@ -1,4 +1,4 @@
-"""The rounds of a search, what they have compared, and the result."""
+"""The rounds of a search, the structures that they compare, and the result."""
 
 from __future__ import annotations
 
@@ -23,25 +23,29 @@ from cluster_est.statistics.records import StackedRecords
 class VerdictThresholds:
     """Thresholds of a claim and of the verdict.
 
+    Here the gap is the sum of squared residuals, minus the part that the noise alone would leave.
+
     Attributes
     ----------
     gap
-        Residual over noise, in squares, above which an effect must close a part of it. Benchmark.
+        Squared residual over squared noise, above which a new effect must close a part of the gap.
+        Benchmark.
     excess
-        Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
+        Squared residual over squared noise, minus 1. Below this value, the model counts as
+        complete. Benchmark.
     coloured
-        Residual over the estimated noise above which what is left is no noise of a sensor, where
-        no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
-        of 0.93 is five times too small.
+        Residual over the estimated noise, if no sigma is declared. Above this value, the residual
+        is not sensor noise. Theory: the noise is estimated from fourth differences; for first-order
+        noise with a correlation of 0.93, this estimate is five times too small.
     negligible
-        Share of squares that counts as nothing. Effects that are "found" leave no more of the gap
-        to the noise. Benchmark.
+        Share of the gap that is negligible. Effects that are "found" leave at most this share of
+        the gap. Benchmark.
     most
-        Share of the gap that effects must close for "partial": the error is at least halved, on
-        training and on held-out data. By definition: what explains less is a hint, and no model.
+        Share of the gap that effects must close for "partial". Then the error is at least halved,
+        on training and on held-out data. By definition: effects that explain less are only a hint.
     most_by_curve
-        The same for "partial" with a free curve or filter, which takes any shape: what it leaves
-        says that the effect is another one. Benchmark.
+        The same share for "partial" with a free curve or filter. These can take any shape, so if
+        they leave more, the missing effect is a different one. Benchmark.
     """
 
     gap: float = 1.15
@@ -56,41 +60,59 @@ VERDICT = VerdictThresholds()
 
 
 class RejectionReason(enum.StrEnum):
-    """The reason why a round added nothing; its text is what the summary says."""
+    """The reason why a round added no effect; the summary of a run quotes its text."""
 
     NO_CANDIDATE = "no effect could be tried"
-    NOT_SIGNIFICANT = "nothing significant"
-    COLOURED_NOISE = "coloured noise"
-    LIMIT_OF_EFFECTS = "limit of effects"
+    NOT_SIGNIFICANT = "no candidate is significant"
+    COLOURED_NOISE = "no candidate is significant once the autocorrelation is taken into account"
+    LIMIT_OF_EFFECTS = "closed_loop.max_effects allows no further effect"
     FREE_CURVE = (
         "a free curve or filter was added, and its own error is part of the remaining error"
     )
-    LITTLE_PROMISED = "no candidate that can be simulated is expected to explain enough"
-    NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
+    LITTLE_PROMISED = (
+        "of the candidates with which the model can be simulated, none is expected to explain "
+        "enough of the residual"
+    )
+    NO_IMPROVEMENT = (
+        "no candidate improves the fit, apart from those with which the simulation does not stay "
+        "bounded"
+    )
     ONLY_WAVES = (
-        "the only candidates that help are sinusoids or drifts in time, each seen too briefly, at "
-        "a resonance of the model, or different in each experiment"
+        "the only candidates that improve the fit are sinusoids or drifts in time, and each of "
+        "them lasts too few periods, is at a resonance of the model, or differs between experiments"
     )
-    REFITS = "the added effects do not improve the prediction of parts that were left out"
-    STRENGTHS = "the data allow the strengths of the added effects to be zero"
+    REFITS = "the added effects do not improve the prediction of data that were left out of the fit"
+    STRENGTHS = "according to the data, the strengths of the added effects may be zero"
     FUNCTIONS_OF_TIME = (
-        "drifts or sinusoids in time would close a part of the gap, as with any slow "
-        "disturbance, and leave more than noise"
+        "drifts or sinusoids in time would close a part of the gap between error and noise, but "
+        "they can imitate any slow disturbance, and they would leave more than noise"
     )
-    LITTLE_GAIN = "the gain is not significant, given the number of candidates"
-    COLOURED_GAIN = "autocorrelated noise would explain as much"
-    NOT_PREDICTED = "the prediction of left-out data does not improve"
-    NUMERICAL_ERROR = "it explains no more than the error of the solver could"
-    LITTLE_EXPLAINED = "it explains too little of the gap"
+    LITTLE_GAIN = "the fit does not improve significantly, given the number of candidates"
+    COLOURED_GAIN = "autocorrelated noise would explain the residual equally well"
+    NOT_PREDICTED = "the prediction of data that were left out of the fit does not improve"
+    NUMERICAL_ERROR = "it improves the fit by no more than the numerical error of the solver could"
+    LITTLE_EXPLAINED = "it closes too little of the gap between error and noise"
 
 
 @dataclass(frozen=True)
 class SelectionRound:
-    """One round: the screening at a model, and its outcome.
+    """One round: the screening of candidates, and its outcome.
 
-    `why` nothing was added is None where something was. `gain` is that of the criterion, `closed`
-    the share of the gap to the noise that was closed, `coloured` whether autocorrelated noise would
-    explain as much as the contender that won, or as each one where none did.
+    Attributes
+    ----------
+    screening
+        Of all candidates, at the accepted structure.
+    contenders
+        The candidates that were refitted.
+    why
+        The reason why no effect was added; None if one was added.
+    gain
+        Gain of the criterion by the best contender.
+    closed
+        Share of the gap to the noise that it closes.
+    coloured
+        Whether autocorrelated noise would explain as much as the contender that won, or as each
+        of them if none did.
     """
 
     screening: ScreeningResult = field(repr=False)
@@ -103,7 +125,7 @@ class SelectionRound:
 
 @dataclass(frozen=True)
 class RoundStart:
-    """The structure that a round begins with, and must improve on.
+    """The structure to which a round tries to add an effect.
 
     Attributes
     ----------
@@ -112,11 +134,11 @@ class RoundStart:
     model, prediction
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
-        Of all candidates at that model.
+        Of all candidates, at that structure.
     floor
         Sum of squares that the noise alone would leave.
     numerical
-        Fall of the sum of squares that an effect could owe to the error of the solver.
+        Decrease of the sum of squares that the numerical error of the solver could cause.
     """
 
     base: FittedModel = field(repr=False)
@@ -133,7 +155,7 @@ class RoundStart:
         return part not in self.settings.without
 
     def bound(self, criterion: float = np.inf, sse: float = np.inf) -> PruningBound:
-        """Return what a refit must come down to, to be of any use."""
+        """Return the criterion and the sum of squares below which a refit is useful."""
         return PruningBound(criterion, sse) if self.has(LoopPart.PRUNING) else UNPRUNED
 
 
@@ -144,7 +166,7 @@ class RoundEnd:
     Attributes
     ----------
     won, prediction
-        The structure that passed, and its prediction; None where nothing was added.
+        The structure that passed all gates, and its prediction; None if nothing was added.
     compared
         All structures that were refitted.
     stopped
@@ -160,7 +182,7 @@ class RoundEnd:
 
 @dataclass(frozen=True)
 class ComparedStructure:
-    """A set of effects that was refitted: a row of structures.parquet.
+    """A set of effects with which the model was refitted: a row of structures.parquet.
 
     Attributes
     ----------
@@ -169,27 +191,28 @@ class ComparedStructure:
     effects
         Their labels, in the order in which they were added.
     criterion
-        Bayesian information criterion, less that of the declared model.
+        Bayesian information criterion, minus that of the declared model.
     closed
-        Share of the gap between error and noise that it closes on the training experiments; NaN
-        where the declared model leaves none.
+        Share of the gap between error and noise that the set closes on the training experiments;
+        NaN if the declared model leaves no gap.
     converged
-        It was refitted to convergence; the others fell behind before.
+        Whether the refit was continued to convergence. Refits that are clearly worse are not.
     accepted
-        It passed every gate, or is what was left of one that did once effects were dropped.
+        Whether the set passed all gates, or is the rest of such a set after effects were dropped.
     relative_steps
-        Steps of the solver over those of the declared model; NaN where they are not counted.
+        Number of solver steps, divided by that of the declared model; NaN if it is not known.
     probability
-        Of the set among all that were compared; NaN where that is not known.
+        Probability of the set among all that were compared; NaN if it is not known.
     chosen
-        Share of the draws of the experiments in which the set is the best one; NaN likewise.
+        Share of the resamplings of the experiments in which the set is the best; NaN if it is not
+        known.
     move
-        The part of the search that proposed it, by its name in `closed_loop.without`.
+        The part of the search that proposed the set, by its name in `closed_loop.without`.
     stopped_by
-        The gate that it did not pass, by the same; empty where it was not the best of its round.
+        The gate that refused the set, by the same names; empty if another set was better.
     left_out, held_out
-        Root mean squares, in the units of residuals, of what refits without each part predict of
-        it, and of held-out experiments over their noise, where the search accepted it; else NaN.
+        Error of cross-validation, in units of the residuals, and error of the held-out experiments
+        over their noise: root mean squares. NaN if the search did not accept the set.
     """
 
     step: int
@@ -209,7 +232,7 @@ class ComparedStructure:
 
 @dataclass(frozen=True)
 class AcceptedStructure:
-    """A structure that was accepted, fitted; `rounds` counts those that led to it."""
+    """An accepted structure, fitted; `rounds` is the number of rounds that led to it."""
 
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction
@@ -224,7 +247,7 @@ class SelectionResult:
     Attributes
     ----------
     base, current
-        The declared model, and the one with all effects that were added.
+        The declared model, and the model with all added effects.
     base_prediction, prediction
         Leave-one-out predictions of both.
     steps, findings
@@ -234,8 +257,8 @@ class SelectionResult:
     path
         The structures that were compared, in the order of the rounds, the best of each first.
     accepted
-        The structures that passed the gates, and what was left of them once effects were dropped,
-        the declared model first.
+        The structures that passed the gates, and those that remained after effects were dropped.
+        The declared model is the first.
     """
 
     base: FittedModel = field(repr=False)
@@ -261,11 +284,11 @@ def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
 
 
 def useful_sse(begun: RoundStart, added: int) -> float:
-    """Return the sum of squares that structures of so many effects must come down to, to be of use.
+    """Return the largest sum of squares with which a structure of `added` effects is useful.
 
-    With the last effect that is allowed a structure must close the least share of the gap, and as
-    much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
-    and a smaller structure neither: a further effect may show what it is good for.
+    A structure with the largest allowed number of effects must close `least_gain` of the gap, and
+    the share of the gap that a claim needs. This does not apply if its residual is small enough to
+    be sensor noise. A smaller structure has no such limit, because a further effect may be added.
     """
     settings, floor = begun.settings, begun.floor
     if added < settings.max_effects:
@@ -275,23 +298,23 @@ def useful_sse(begun: RoundStart, added: int) -> float:
 
 
 def claimable_sse(begun: RoundStart, added: int) -> float:
-    """Return the sum of squares above which a structure of so many effects comes to nothing.
+    """Return the sum of squares above which a structure of `added` effects cannot be claimed.
 
-    Where nothing can be added to it, it must close as much of the gap as a claim needs, or be the
-    noise of sensors for its size.
+    If no further effect is allowed, the structure must close the share of the gap that a claim
+    needs, or its residual must be small enough to be sensor noise.
     """
     return np.inf if added < begun.settings.max_effects else _least_claim_sse(begun)
 
 
 def can_be_claimed(begun: RoundStart, fitted: FittedModel) -> bool:
-    """Return whether a structure closes as much as a claim needs, or leaves sensors' noise."""
+    """Return whether a structure closes enough of the gap, or leaves only sensor noise."""
     return fitted.sse <= _least_claim_sse(begun)
 
 
 def may_leave_noise(begun: RoundStart, fitted: FittedModel) -> bool:
-    """Return whether what a structure leaves may be the noise of sensors, white or not.
+    """Return whether the residual of a structure may be sensor noise, white or coloured.
 
-    It is as small as sigmas that are declared, or near the part of it that is white.
+    It may be if it is within the declared sigmas, or close to its own white part.
     """
     within = begun.sigma_declared and fitted.sse <= VERDICT.gap * len(fitted.residuals)
     return within or fitted.sse <= _near_noise_sse(begun)
@@ -311,7 +334,7 @@ def _near_noise_sse(begun: RoundStart) -> float:
 
 
 def without_search(fitter: Fitter, settings: LoopSettings, base: FittedModel) -> SelectionResult:
-    """The declared model alone, where no effect was looked for."""
+    """Return a result with the declared model alone, without a search for effects."""
     nothing = LeaveOneOutPrediction(np.zeros(0))
     noise = noise_of(fitter, base.residuals)
     return SelectionResult(base, base, nothing, nothing, {}, (), (), noise, settings)
@@ -320,7 +343,7 @@ def without_search(fitter: Fitter, settings: LoopSettings, base: FittedModel) ->
 def evidence_of_round(
     records: StackedRecords, current: FittedModel, end: RoundEnd, number: int
 ) -> list[CandidateEvidence]:
-    """Return the candidates of a round, with how far each came."""
+    """Return the candidates of a round, each with the last stage that it reached."""
     found = findings(end.seen.screening.ranking, current, number)
     base = current.criterion(records)
     reached = [
@@ -345,9 +368,9 @@ def with_single(
     won: RefittedCandidate,
     criterion: float,
 ) -> list[CandidateEvidence]:
-    """Return the candidates, with the one that took the place of all effects as accepted.
+    """Return the candidates; the single effect that replaced all others is marked as accepted.
 
-    `first` are those of the ranking that it was chosen from, at the declared model.
+    `first` are the candidates that it was chosen from, at the declared model.
     """
     known = _evidence_of(first, won.candidate)
     if known is None:
@@ -361,7 +384,7 @@ def with_single(
 def _evidence_of(
     found: Iterable[CandidateEvidence], candidate: EffectCandidate
 ) -> CandidateEvidence | None:
-    """That of a candidate; of a finer curve, that of the one with which its place was screened."""
+    """Return a candidate's evidence; a finer curve has that of the curve that was screened."""
     site, form, variables = str(candidate.site), candidate.form, candidate.effect.variables
     there = [each for each in found if (each.site, each.variables) == (site, variables)]
     own = [each for each in there if each.form == form.name]
@@ -372,7 +395,7 @@ def _evidence_of(
 def compared_structures(
     records: StackedRecords, base: FittedModel, end: RoundEnd, floor: float, step: int
 ) -> list[ComparedStructure]:
-    """The structures of a round, the best first; `floor` is what the noise alone would leave."""
+    """Return the structures of a round, the best first; `floor` is as in `RoundStart`."""
     return [
         replace(
             compared_structure(records, base, contender.fitted, floor, step),
@@ -393,7 +416,7 @@ def compared_structure(
     step: int,
     move: str = "",
 ) -> ComparedStructure:
-    """A structure that was accepted, as a row; see `compared_structures`."""
+    """Return an accepted structure as a row; see `compared_structures`."""
     gap = base.sse - floor
     return ComparedStructure(
         step=step,

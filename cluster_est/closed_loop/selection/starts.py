@@ -79,8 +79,8 @@ def fit_declared(
     best = [f for f in (first, *grown) if f is not None]
     if not best:
         raise ProblemError(
-            "closed loop: the declared model cannot be simulated from its start values; try "
-            "cluster-est check, and other start values"
+            "close-loop: the declared model cannot be simulated from its start values; run "
+            "cluster-est check, or try other start values"
         )
     return min(best, key=lambda fitted: fitted.sse)
 

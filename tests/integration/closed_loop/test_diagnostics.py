@@ -156,12 +156,12 @@ def fixed_mass(problem):
 
 def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, fixed_mass):
     with opened(fixed_mass, SETTINGS) as workbench:
-        (note,) = (n for n in workbench.scope.notes if n.startswith("closed to effects"))
-        assert "closed to effects: m, because" in note
+        (note,) = (n for n in workbench.scope.notes if n.startswith("no effect can act"))
+        assert "no effect can act on the parameter m, because" in note
         assert "parameter m" not in workbench.scope.sites
         assert "parameter c" in workbench.scope.sites
     with opened(problem, SETTINGS) as workbench:
-        assert not any("closed to effects" in note for note in workbench.scope.notes)
+        assert not any("no effect can act" in note for note in workbench.scope.notes)
 
 
 def test_a_closed_site_that_was_asked_for_is_refused_with_the_cause(fixed_mass):

@@ -109,7 +109,7 @@ def test_a_loop_that_is_stopped_leaves_what_its_last_round_has_found(problem, tm
         study.run(RunEnvironment(monitor=monitor))
     run = read_run(out)
     assert (run.status, run.facts["verdict"]) == ("interrupted", "partial")
-    assert run.facts["summary"].startswith("stopped after round 1 of at most 1")
+    assert run.facts["summary"].startswith("the search stopped after round 1 of at most 1")
     assert [effect["form"] for effect in run.facts["effects"]] == ["dead_zone"]
     assert run.finished
     assert len(run.tables["errors"]) == len(problem.experiments)

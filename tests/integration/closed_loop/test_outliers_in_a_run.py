@@ -38,8 +38,8 @@ def test_the_friction_is_found_and_the_outliers_are_counted(run: Path) -> None:
     assert effect["form"] == "coulomb"
     assert effect["parameters"]["k"]["value"] == pytest.approx(FRICTION, rel=0.05)
     training, held_out = (note for note in found["notes"] if "outlier" in note)
-    assert "of the samples of y are outliers: 4 of 240, up to " in training
-    assert held_out.startswith("held out: 0.83 % of the samples of y are outliers: 1 of 120, ")
+    assert "of the samples of y are outliers (4 of 240): they differ" in training
+    assert held_out.startswith("0.83 % of the held-out samples of y are outliers (1 of 120): ")
 
 
 def test_tables_are_without_them(run: Path) -> None:

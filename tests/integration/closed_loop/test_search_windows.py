@@ -102,7 +102,7 @@ def test_an_effect_that_acts_late_is_found_where_it_acts(found):
     assert effect.coefficients[0].value == pytest.approx(LIMIT, rel=0.01)
     assert "'e0' from 45.02 to 60 s" in result.notes[0]
     assert "where the error of the declared model is largest" in result.notes[0]
-    assert "then in all of them" not in result.notes[0]
+    assert "in the whole records" not in result.notes[0]
     # what is reported is of all rows, and has nothing of the parts' own
     assert [len(run.outputs[0].times) for run in result.problem.experiments] == [len(TIMES)] * 2
     assert len(result.fun) == 2 * len(TIMES)
@@ -118,7 +118,7 @@ def test_an_effect_that_acts_throughout_is_looked_for_in_the_beginnings():
 def test_whole_records_are_searched_where_nothing_is_found_in_parts():
     result = looped(springs(always_loud, unchanged), MOST)
     assert result.verdict is Verdict.NONE
-    assert "from the beginning, then in all of them: nothing was found there;" in result.notes[0]
+    assert "whole records, because no effect was found in the parts;" in result.notes[0]
 
 
 def test_shorter_records_stay_whole(late):
@@ -139,7 +139,7 @@ def test_a_part_goes_on_from_where_its_record_stands(late, chosen):
     wrong = replace(chosen, problem=replace(chosen.problem, experiments=moved))
     for windows, said in (
         (chosen, ""),
-        (wrong, "does not continue correctly from their beginning"),
+        (wrong, "does not continue correctly from the beginning of a part"),
     ):
         with open_workbench(LoopRequest(windows.problem, settings=SETTINGS)) as bench:
             assert windows.unlike_records(bench.fitter).endswith(said)
@@ -154,7 +154,7 @@ def test_what_acts_outside_of_the_parts_alone_is_noticed(late, chosen):
             rows = item.rows.start + np.flatnonzero(item.times <= 15.0)
             early.append(replace(window, start=0.0, stop=15.0, rows=rows))
         said = replace(chosen, windows=tuple(early)).missed(bench.fitter, chosen.fitted)
-    assert said.startswith("the model that was found there leaves more error in 'e")
+    assert said.startswith("the model that was found in the parts leaves more error in 'e")
     assert said.endswith("to 60 s")
 
 

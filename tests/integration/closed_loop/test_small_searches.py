@@ -102,8 +102,8 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
     assert "drifts or sinusoids in time would close a part of the gap" in found.message
-    assert "if it is an unmeasured disturbance" in found.message
-    assert any("they are too narrow" in note for note in found.notes)
+    assert "comes from an unmeasured disturbance" in found.message
+    assert any("so they are too narrow" in note for note in found.notes)
     assert any("the largest part" in note or "spread over all" in note for note in found.notes)
     assert found.rejected
     assert {each.form for each in found.rejected} <= {"drift", "coulomb"}

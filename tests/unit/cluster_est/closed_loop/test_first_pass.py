@@ -63,8 +63,8 @@ def test_outliers_are_left_out_and_counted(clean: Problem) -> None:
         assert run.inputs == all_of_it.inputs
     assert found.before.problem.experiments[0].size == 601 - 6
     training, held_out = (note for note in found.notes if "outlier" in note)
-    assert training.startswith("1 % of the samples of y are outliers: 6 of 601, up to 1")
-    assert held_out.startswith("held out: 0.5 % of the samples of y are outliers: 3 of 601, ")
+    assert training.startswith("1 % of the samples of y are outliers (6 of 601): they differ")
+    assert held_out.startswith("0.5 % of the held-out samples of y are outliers (3 of 601): ")
     assert [len(run.outputs[0].times) for run in spoiled.experiments] == [601, 601]
 
 
@@ -75,7 +75,7 @@ def test_too_many_are_kept_and_said(clean: Problem) -> None:
     found = closed(spoiled)
     assert found.before.problem.experiments == spoiled.experiments
     (note,) = (each for each in found.notes if "far from all their neighbours" in each)
-    assert "too many for faults of a sensor, so all were kept" in note
+    assert "too many to be sensor faults, so all samples were kept" in note
 
 
 def test_the_same_is_set_aside_each_time(clean: Problem) -> None:
@@ -94,8 +94,8 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
     (note,) = (each for each in found.notes if "grows" in each)
     outputs = [run.outputs[0] for run in found.before.problem.experiments]
     assert found.errors_over == "estimated noise"
-    assert note.startswith("the noise of y grows with the signal: in the third of its samples")
-    assert "so each sample was weighted with a sigma of its own; for a fit with" in note
+    assert note.startswith("the noise of y grows with the signal: from the third of the samples")
+    assert "so each sample was weighted with its own sigma; for a fit with" in note
     assert "write sigma.y = 0.0" in note
     for output in outputs:
         assert output.sigma == pytest.approx(0.01, rel=0.6)
@@ -108,7 +108,7 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
     (note,) = (each for each in found.notes if "grows" in each)
     assert [run.outputs[0].relative_sigma for run in found.before.problem.experiments] == [0.0] * 2
     assert "relative_sigma.y = " in note
-    assert note.endswith("would give each sample its own")
+    assert "suitable values are about sigma.y = " in note
 
 
 def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:

@@ -185,7 +185,8 @@ def test_a_search_without_a_candidate_says_so():
     result = close_loop(SPRING, settings=settings)
     assert not result.effects
     assert result.notes[0].startswith(
-        "no effect was tried: none of the forms coulomb makes sense on these data at output y"
+        "no effect was tried: with these data, none of the forms coulomb can be used at the sites "
+        "output y (some"
     )
 
 
@@ -213,7 +214,7 @@ def of_few_samples(*samples, sigma=0.5):
 
 @pytest.mark.parametrize("samples", [3, 7])
 def test_too_few_measurements(samples):
-    sentence = f"at least 16 measured values .* 3 parameters but have {2 * samples}"
+    sentence = f"at least 16 measured values, .* 3 parameters, but they have {2 * samples}"
     with pytest.raises(ProblemError, match=sentence), opened(of_few_samples(samples, samples)):
         pass
 
@@ -253,7 +254,7 @@ def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
     problem = with_outputs(two_units(1.0), lambda output: replace(output, **none[output.variable]))
     with opened(problem) as bench:
         (note,) = (note for note in bench.scope.notes if "sigma" in note)
-    assert "noise, except load_speed, whose noise is not known; write" in note
+    assert "noise, except load_speed, whose noise is not known; for" in note
     assert "load_speed = 1 }" in note
 
 
@@ -263,7 +264,11 @@ def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
 def test_records_too_short_to_know_their_noise_are_named(samples, sigma, said):
     """The whole residual of the declared model is taken for noise then."""
     with opened(of_few_samples(*samples, sigma=sigma)) as bench:
-        notes = [note for note in bench.scope.notes if "no record of y has 10 samples" in note]
+        notes = [
+            note
+            for note in bench.scope.notes
+            if "all records of y have fewer than 10 samples" in note
+        ]
     assert bool(notes) is said
 
 

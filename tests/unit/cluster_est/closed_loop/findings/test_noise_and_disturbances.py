@@ -176,7 +176,7 @@ def test_records_too_short_to_tell_their_noise_do_not_make_sigma_the_error(lengt
     residual = np.tile(10.0 * line / np.sqrt(np.mean(line**2)), 4)
     said = suspected_sigma(looked_at(made_problem(*(length,) * 4, sigma=0.5), residual)[0])
     assert ("is probably" in said) is sure
-    assert ("y0 is 10 times the declared sigma; with records of fewer" in said) is not sure
+    assert ("y0 is 10 times the declared sigma; all records have fewer" in said) is not sure
 
 
 def test_a_sigma_that_may_not_have_been_given_is_said_to_be_one():
@@ -187,7 +187,10 @@ def test_a_sigma_that_may_not_have_been_given_is_said_to_be_one():
     outputs = (replace(first, sigma=0.5), second)
     problem = replace(problem, experiments=(replace(run, outputs=outputs),))
     found, _ = looked_at(problem, 0.01 * np.random.default_rng(1).standard_normal(120))
-    assert "y0 and y1 (1, the default): error is 0.0083 to 0.0086 x sigma" in suspected_sigma(found)
+    assert (
+        "y0 and y1 (sigma is 1, the default): error is 0.0083 to 0.0086 x sigma"
+        in suspected_sigma(found)
+    )
 
 
 def test_scaling_changes_nothing():

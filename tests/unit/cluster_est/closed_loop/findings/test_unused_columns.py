@@ -84,7 +84,9 @@ def test_a_wave_of_the_same_period_is_named_as_that_and_no_more(tmp_path):
     (found,) = varying_columns(made, residuals, LEVEL, period=0.2)
     assert found.column == "daily"
     assert np.isnan(found.p)
-    said = "the unused column 'daily' has the same period, 0.2 s: try the column as "
+    said = (
+        "the unused column 'daily' has the same period as the residual, 0.2 s: try the column as "
+    )
     assert found.sentence == f"{said}data of the input F, or as a signal"
     assert replace(found, silent=()).sentence == f"{said}a signal"
     assert varying_columns(made, residuals, LEVEL, period=0.13) == ()

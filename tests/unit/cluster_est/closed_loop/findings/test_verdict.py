@@ -428,7 +428,7 @@ def test_a_last_fit_that_did_not_converge_is_said_to_be_that(ending):
 
 @pytest.mark.parametrize("verdict", [Verdict.NONE, Verdict.COLOURED, Verdict.UNEXPLAINED])
 def test_intervals_that_do_not_allow_for_what_is_left_are_said_to_be_too_narrow(verdict):
-    narrow = any("they are too narrow" in note for note in notes(verdict))
+    narrow = any("so they are too narrow" in note for note in notes(verdict))
     assert narrow is (verdict is Verdict.UNEXPLAINED)
 
 
