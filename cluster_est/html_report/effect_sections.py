@@ -71,14 +71,14 @@ def shape_figure(row: Row, number: int) -> FigureBlock:
     marks += evidence
     over = with_unit(row["variable"], row["variable_unit"])
     edges, counts = np.array(row["edges"], float), np.array(row["counts"], float)
-    across = Scale.around(edges if len(edges) else x, margin=0.01)
-    title = (
-        f"{row['part']} over {over}{', in the range of the training data' if len(edges) else ''}"
-    )
+    across, label = Scale.around(edges, margin=0.01), with_unit(row["part"], row["unit"])
+    title = f"{row['part']} over {over}, in the range of the training data"
+    if not len(edges):  # a response of a filter, over time or frequency
+        across, title = Scale.around(x, margin=0.01, may_be_log=True), f"{label} over {over}"
     if not known:
         title += "; the data do not determine every coefficient, so there is no band"
     upright = Scale.around(y, low[np.isfinite(low)], high[np.isfinite(high)], seen)
-    plots = [Plot(title, with_unit(row["part"], row["unit"]), across, upright, marks, 230)]
+    plots = [Plot(title, label, across, upright, marks, 230)]
     note = EVIDENCE if evidence else ""
     if len(edges):
         samples = Scale(0.0, 1.08 * float(counts.max()) or 1.0)

@@ -150,7 +150,7 @@ class EffectCurve:
         determine one of them.
     edges : (bins + 1,)
     counts : (bins,)
-        Samples of the training experiments in each bin; both are empty for a step response.
+        Samples of the training experiments in each bin; both are empty for a filter's responses.
     free_x, free_y, free_error : (places,)
         What the residuals ask for without any form, and its standard error, at a few places; empty
         where that was not computed.

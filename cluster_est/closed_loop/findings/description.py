@@ -26,7 +26,7 @@ from cluster_est.problem.display import in_a_row, readable_time
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
-from cluster_est.results.shapes.step_responses import dynamics_in_words
+from cluster_est.results.shapes.filter_responses import dynamics_in_words
 from workers.messages import FloatArray
 
 LARGEST_DIFFERENCE = 10.0

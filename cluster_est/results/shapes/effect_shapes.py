@@ -10,7 +10,12 @@ import sympy as sp
 
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
-from cluster_est.results.shapes.step_responses import settled_after, step_response
+from cluster_est.results.shapes.filter_responses import (
+    bode_plot,
+    settled_after,
+    shown_frequencies,
+    step_response,
+)
 from workers.core.assemble import TIME_SYMBOL
 from workers.effects.definition import (
     SIGNAL_SYMBOL,
@@ -160,7 +165,7 @@ def _curves(
     visited: VisitedValues,
 ) -> list[EffectCurve]:
     if definition.form.is_dynamics and _is_one(definition, result):
-        return [_step_curve(definition, result, description)]
+        return _filter_curves(definition, result, description)
     if definition.form.memory or definition.states:
         why = "the effect depends on the past, so it is not a curve over one variable"
         return [_none(definition, why)]
@@ -175,25 +180,43 @@ def _curves(
         seen = visited(definition.site, part.argument)
         seen = seen[np.isfinite(seen)]
         if len(seen):
-            found.append(_curve(definition, part, seen, result, description))
+            x = np.linspace(float(seen.min()), float(seen.max()), POINTS)
+            curve = _curve(definition, part, x, result, description)
+            if not curve.why_not:
+                counts, edges = np.histogram(seen, ARGUMENT_BINS)
+                curve = replace(curve, edges=edges, counts=counts.astype(np.float64))
+            found.append(curve)
         else:
             found.append(_none(definition, f"{UNKNOWN_ARGUMENT} {part.argument}"))
     return found
 
 
-def _step_curve(
+def _filter_curves(
     definition: EffectDefinition, result: Result, description: ModelDescription
-) -> EffectCurve:
-    """The step response of a free filter, as long as it moves."""
+) -> list[EffectCurve]:
+    """The step response of a free filter, as long as it moves, and its magnitude and phase."""
     form, site = definition.form, definition.site
     values = np.array([e.value for e in coefficient_estimates(definition, result)])
-    given = definition.effect.variables or (own_variable(site) if site.at_rates else site.target,)
-    argument = f"time after a step of {given[0]} by 1"
-    part = EffectShape(site.target, argument, step_response(form))
-    span = np.array([0.0, settled_after(form, values)])
-    curve = _curve(definition, part, span, result, description)
-    nothing = np.zeros(0)
-    return replace(curve, variable_unit="s", edges=nothing, counts=nothing)
+    own = own_variable(site) if site.at_rates else site.target
+    given = next(iter(definition.effect.variables), own)
+    train = [e for e in result.problem.experiments if e.role == "train"]
+    times = np.linspace(0.0, settled_after(form, values), POINTS)
+    frequencies = np.geomspace(*shown_frequencies(form, values, train), POINTS)
+
+    def curve(
+        response: Shape, x: FloatArray, argument: str, variable_unit: str, unit: str = ""
+    ) -> EffectCurve:
+        part = EffectShape(site.target, argument, response)
+        found = _curve(definition, part, x, result, description)
+        return replace(found, variable_unit=variable_unit, unit=unit or found.unit)
+
+    magnitude, phase = bode_plot(form)
+    sine = f"frequency of a sine in {given}"
+    return [
+        curve(step_response(form), times, f"time after a step of {given} by 1", "s"),
+        curve(magnitude, frequencies, sine, "Hz", "dB"),
+        curve(phase, frequencies, sine, "Hz", "deg"),
+    ]
 
 
 def part_shapes(definition: EffectDefinition, signal: float = 1.0) -> list[EffectShape]:
@@ -303,18 +326,16 @@ def coefficient_estimates(definition: EffectDefinition, result: Result) -> list[
 def _curve(
     definition: EffectDefinition,
     part: EffectShape,
-    seen: FloatArray,
+    x: FloatArray,
     result: Result,
     description: ModelDescription,
 ) -> EffectCurve:
     """One part of an effect with its band."""
     own = coefficient_estimates(definition, result)
     values = np.array([e.value for e in own])
-    x = np.linspace(float(seen.min()), float(seen.max()), POINTS)
     y = part.shape(x, values)
     if not np.isfinite(y).any():
         return _none(definition, "the effect is not finite in the range of the data")
-    counts, edges = np.histogram(seen, ARGUMENT_BINS)
     spread = BAND_QUANTILE * spread_of(part.shape, x, values, covariance_of(result, own))
     units = {name: variable.unit for name, variable in description.variables.items()}
     unit, at_rates = units.get(part.target, ""), definition.site.at_rates
@@ -331,8 +352,6 @@ def _curve(
         y=y,
         lower=y - spread,
         upper=y + spread,
-        edges=edges,
-        counts=counts.astype(np.float64),
     )
 
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter, lsim
+from scipy.signal import freqs, lfilter, lsim
 from support.problems.springs import ROOT
 
 import cluster_est as ce
@@ -94,13 +94,19 @@ def test_dynamics_of_no_known_form_are_found_at_their_place(found):
 @pytest.mark.slow
 def test_its_step_response_is_drawn_and_said(found, tmp_path):
     """Three lags in a row, by SciPy; the band of 95 % is not wider than a fifth of the gain."""
-    (curve,) = found.curves
+    curve, magnitude, phase = found.curves
     assert (curve.variable, curve.unit) == ("time after a step of P by 1", "degC/s")
     lags = np.diag([-1.0 / tau for tau in LAGS]) + np.diag([1.0 / tau for tau in LAGS[1:]], -1)
     system = (lags, [[1.0 / LAGS[0]], [0.0], [0.0]], [[0.0, 0.0, GAIN]], [[0.0]])
     _, truth, _ = lsim(system, np.ones(len(curve.x)), curve.x)
     np.testing.assert_allclose(curve.y, truth, atol=0.05 * GAIN)
     assert 0.0 < (curve.upper - curve.lower)[1:].max() < 0.2 * GAIN
+    assert [each.unit for each in (magnitude, phase)] == ["dB", "deg"]
+    slow = magnitude.x < 1.0 / sum(LAGS) / np.pi
+    poles = -1.0 / np.array(LAGS)
+    _, gain = freqs([-GAIN * poles.prod()], np.poly(poles), 2.0 * np.pi * magnitude.x[slow])
+    np.testing.assert_allclose(magnitude.y[slow], 20.0 * np.log10(np.abs(gain)), atol=1.0)
+    np.testing.assert_allclose(phase.y[slow], np.degrees(np.unwrap(np.angle(gain))), atol=6.0)
     (effect,) = found.effects
     done = curve.x[np.argmax(truth > (1.0 - np.exp(-1.0)) * GAIN)] / 60.0
     said = re.search(r"no known form: .* reaches 63 % after ([\d.]+) min", effect.sentence)
@@ -110,6 +116,7 @@ def test_its_step_response_is_drawn_and_said(found, tmp_path):
     ce.report(found, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "time after a step of P by 1 (s)" in text
+    assert "der(T_case) (dB) over frequency of a sine in P (Hz)" in text
 
 
 @pytest.mark.slow

@@ -1,13 +1,14 @@
-"""Step responses of free filters, and the few numbers that say the same.
+"""Step and frequency responses of free filters, and the few numbers that say the same.
 
-A free filter has n equal lags in a row, of which it adds k_i z_i. After a step of 1 of its
-argument, lag i is at the regularised incomplete gamma function P(i, t / tau), so the filter goes
+A free filter has n equal lags in series, of which it adds k_i z_i. After a step of 1 of its
+argument, lag i is at the regularised incomplete gamma function P(i, t / tau). At a frequency f it
+multiplies a sine by a power of the transfer function of a lag:
 
-    c(t) = sum k_i P(i, t / tau)
+    c(t) = d + sum k_i P(i, t / tau)        H(f) = d + sum k_i (1 + 2 pi j f tau)^-i
 
-on its way from where the step has put it at once to sum k_i more. A balanced truncation (B. C.
-Moore, IEEE Trans. Automatic Control 26 (1981) 17-32, doi:10.1109/TAC.1981.1102568) says whether one
-or two time constants do nearly the same.
+d is what passes at once. A balanced truncation (B. C. Moore, IEEE Trans. Automatic Control 26
+(1981) 17-32, doi:10.1109/TAC.1981.1102568) says whether one or two time constants do nearly the
+same.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_continuous_lyapunov, svd
 from scipy.special import gammainc
 
 from cluster_est.problem.display import readable_time
 from workers.effects.kinds import EffectForm
 from workers.effects.laws import Law
-from workers.messages import FloatArray
+from workers.messages import Experiment, FloatArray
 
 SETTLED = 12.0
 """Time constants behind those of its order after which a filter is drawn to be settled."""
@@ -29,6 +31,8 @@ PART = 1.0 - np.exp(-1.0)
 """Of its way: what a single lag does within its time constant."""
 NO_WAY = 0.05
 """Share of its largest deflection below which a filter comes back to where it was."""
+DECADE = 10.0
+"""How far below and above the corner frequency of its lags the frequency response is drawn."""
 REDUCED = 0.05
 """Share of the Hankel singular values that a reduced model may leave out."""
 
@@ -45,19 +49,63 @@ def settled_after(form: EffectForm, values: FloatArray) -> float:
     return (len(strengths) + SETTLED) * tau
 
 
-def step_response(form: EffectForm) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return the response of a free filter to a step of 1 at 0, over times and coefficients.
+def shown_frequencies(
+    form: EffectForm, values: FloatArray, experiments: Sequence[Experiment]
+) -> tuple[float, float]:
+    """Return the range in Hz to draw: around the corner frequency, as far as the data reach.
 
-    At an input or output in the place of a signal's own step, what that becomes.
+    Data reach from one period in the longest record up to the Nyquist frequency.
     """
+    corner = 0.5 / (np.pi * filter_parts(form, values)[1])
+    around = corner / DECADE, corner * DECADE
+    first = 1.0 / max(e.stop - e.start for e in experiments)
+    rates = (len(o.times) / (e.stop - e.start) for e in experiments for o in e.outputs)
+    low, high = max(around[0], first), min(around[1], 0.5 * max(rates, default=np.inf))
+    return (low, high) if low < high else around
+
+
+Response = Callable[[FloatArray, FloatArray], FloatArray]
+"""A response of a free filter over times or frequencies, and its coefficients.
+
+At an input or output, in the place of the signal's own, what that becomes.
+"""
+
+
+def _at_once(form: EffectForm, strengths: FloatArray) -> float:
+    total = float(strengths.sum())
+    return {Law.EXCHANGE: -total, Law.SIGNAL_DYNAMICS: 1.0 - total}.get(form.law, 0.0)
+
+
+def step_response(form: EffectForm) -> Response:
+    """Return the response of a free filter to a step of 1 at 0, over times."""
 
     def response(t: FloatArray, values: FloatArray) -> FloatArray:
         strengths, tau = filter_parts(form, values)
-        total = float(strengths.sum())
-        begins = {Law.EXCHANGE: -total, Law.SIGNAL_DYNAMICS: 1.0 - total}.get(form.law, 0.0)
-        return np.asarray(begins + _way(strengths, t / tau))
+        return np.asarray(_at_once(form, strengths) + _way(strengths, t / tau))
 
     return response
+
+
+def bode_plot(form: EffectForm) -> tuple[Response, Response]:
+    """Return the magnitude of a free filter in dB and its phase in degrees, over f in Hz.
+
+    The phase is continuous in f.
+    """
+
+    def complex_gain(f: FloatArray, values: FloatArray) -> NDArray[np.complex128]:
+        strengths, tau = filter_parts(form, values)
+        lag = 1.0 / (1.0 + 2j * np.pi * f * tau)
+        return np.asarray(_at_once(form, strengths) + np.polyval([*strengths[::-1], 0.0], lag))
+
+    def magnitude(f: FloatArray, values: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            return np.asarray(20.0 * np.log10(np.abs(complex_gain(f, values))))
+
+    def phase(f: FloatArray, values: FloatArray) -> FloatArray:
+        turned = np.angle(complex_gain(f, values) * np.exp(0.25j * np.pi))  # no cut at -1 and 1
+        return np.asarray(np.degrees(np.unwrap(turned)) - 45.0)
+
+    return magnitude, phase
 
 
 def _way(strengths: FloatArray, x: FloatArray) -> FloatArray:
