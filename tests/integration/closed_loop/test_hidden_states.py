@@ -108,8 +108,8 @@ CASES = {
     "bioreactor/hidden dynamics/two arguments/root_times: foam": 2,
     "rc_cell/hidden dynamics/two arguments/product: loss by current and voltage": 1,
 }
-"""Cases of the benchmark, with the number of coefficients that the data determine and whose truth is
-known. Those of the oven's shell they determine only in combination with what the load is made of."""
+"""Cases of the benchmark, with the number of coefficients whose truth is known and which the data
+determine. Those of the oven's shell are determined only in combination with the load's own."""
 
 
 @pytest.mark.slow
