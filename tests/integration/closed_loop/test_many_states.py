@@ -121,10 +121,10 @@ def test_a_hidden_store_is_looked_for_at_its_node(built_fmu, hidden):
 
 
 @pytest.mark.slow
-def test_the_leak_leads_at_its_node(ranked):
-    (first,) = ranked.leaders(ranked.white, 1)
-    effect = ranked.trials[first].candidate.effect
-    assert (effect.site, effect.variables) == (f"der(T{LEAKING})", (f"T{LEAKING}",))
+def test_the_node_of_the_leak_leads(ranked):
+    """The temperature of the next node is nearly the same: which it is a function of, refits say."""
+    first = [ranked.trials[i].candidate.effect for i in ranked.leaders(ranked.white, 3)]
+    assert {each.site for each in first} == {f"der(T{LEAKING})"}
 
 
 @pytest.mark.slow
