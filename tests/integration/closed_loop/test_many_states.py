@@ -122,7 +122,7 @@ def test_a_hidden_store_is_looked_for_at_its_node(built_fmu, hidden):
 
 @pytest.mark.slow
 def test_the_node_of_the_leak_leads(ranked):
-    """The temperature of the next node is nearly the same: which it is a function of, refits say."""
+    """The temperature of the next node is nearly the same: which of them counts, refits say."""
     first = [ranked.trials[i].candidate.effect for i in ranked.leaders(ranked.white, 3)]
     assert {each.site for each in first} == {f"der(T{LEAKING})"}
 
