@@ -61,7 +61,7 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundEnd,
     RoundStart,
     claimable_sse,
-    leaves_more_than_noise,
+    may_leave_noise,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.projection import OrthogonalProjection
@@ -283,7 +283,7 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     """
     current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
-    left = leaves_more_than_noise(current, first.floor)
+    left = not may_leave_noise(first, current)
     tried = first.has(LoopPart.FREE_CURVE) or first.has(LoopPart.FREE_DYNAMICS)
     if free or not left or not tried:
         return None

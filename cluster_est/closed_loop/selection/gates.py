@@ -318,8 +318,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         refused, left = refused or seen, rest
         tries = tries - 1 if failed.part in OF_ONE_STRUCTURE else 0
     if refused is not None and refused.coloured:
-        others = (c for c in ranked if not coloured_noise_explains(fitter.records, begun, c))
-        refused = replace(refused, coloured=next(others, None) is None)
+        refused = replace(refused, coloured=not beyond_coloured_noise(fitter, begun, ranked))
     return RoundEnd(refused or SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
 
 
@@ -377,6 +376,21 @@ def coloured_noise_explains(
     gain = _coloured_gain(before.residuals, after.residuals, records, order)
     unknowns = (after.space.size - before.space.size) * np.log(len(after.residuals))
     return bool(gain <= unknowns + _choice_penalty(begun, chosen))
+
+
+def beyond_coloured_noise(
+    fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """Return the contenders that do more than autocorrelated noise, without functions of time.
+
+    A drift or a wave in time follows whatever disturbs an experiment, and says nothing of others.
+    """
+    return [
+        c
+        for c in contenders
+        if not c.candidate.form.of_time_alone
+        and not coloured_noise_explains(fitter.records, begun, c)
+    ]
 
 
 def _coloured_gain(

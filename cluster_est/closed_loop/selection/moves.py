@@ -24,7 +24,7 @@ from cluster_est.closed_loop.selection.argument_functions import (
     refit_siblings,
     with_filters,
 )
-from cluster_est.closed_loop.selection.gates import GATES, SELECTION
+from cluster_est.closed_loop.selection.gates import GATES, SELECTION, beyond_coloured_noise
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     PruningBound,
@@ -112,10 +112,12 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
     found = {c.fitted.structure: c for c in pairs}
-    for other in _other_forms(fitter, begun, pairs[0], bound) if pairs else ():
+    large = leaves_more_than_noise(begun.model, begun.floor)
+    for other in _other_forms(fitter, begun, pairs[0], bound) if large and pairs else ():
         found.setdefault(other.fitted.structure, other)
-    grows = begun.has(LoopPart.BEAM) and leaves_more_than_noise(begun.model, begun.floor)
-    for parent in distinct(fitter, begun, best.compared) if grows and best.won is None else ():
+    grows = large and best.won is None and begun.has(LoopPart.BEAM)
+    singles = _that_may_grow(fitter, begun, best) if grows else []
+    for parent in distinct(fitter, begun, singles):
         if can_be_linearised(fitter, parent):
             ranking = rank(fitter, begun.settings, parent)
             most = min((c.criterion for c in found.values()), default=np.inf)
@@ -180,6 +182,16 @@ def _leaves_much(begun: RoundStart) -> bool:
     """Return whether what is missing is still large: the score of a small effect says enough."""
     closed = begun.base.sse - begun.model.sse
     return closed < REFINEMENT.closes * (begun.base.sse - begun.floor)
+
+
+def _that_may_grow(
+    fitter: Fitter, begun: RoundStart, best: RoundEnd
+    """Return all single effects; if noise could be the best, those that no noise could be."""
+    """Return all single effects; where noise could be the best one, those that no noise could be."""
+    first = best.seen.contenders[:1]
+    if not first or beyond_coloured_noise(fitter, begun, first):
+        return best.compared
+    return beyond_coloured_noise(fitter, begun, best.compared)
 
 
 def distinct(
