@@ -186,8 +186,8 @@ def _leaves_much(begun: RoundStart) -> bool:
 
 def _that_may_grow(
     fitter: Fitter, begun: RoundStart, best: RoundEnd
+) -> Sequence[RefittedCandidate]:
     """Return all single effects; if noise could be the best, those that no noise could be."""
-    """Return all single effects; where noise could be the best one, those that no noise could be."""
     first = best.seen.contenders[:1]
     if not first or beyond_coloured_noise(fitter, begun, first):
         return best.compared
