@@ -167,11 +167,19 @@ def test_where_the_best_predicts_badly_the_next_best_is_asked(
     assert (end.seen.why is None) == (chosen is not None)
 
 
-@pytest.mark.parametrize("explained", [("wrong", "right"), ("wrong",), ()])
-def test_coloured_noise_is_said_to_do_it_only_if_it_does_as_much_as_every_refused_effect(
-    monkeypatch, explained
+@pytest.mark.parametrize(
+    ("explained", "family", "coloured"),
+    [
+        (("wrong", "right"), "friction", True),
+        (("wrong",), "friction", False),
+        ((), "friction", False),
+        (("wrong",), "load", True),
+    ],
+)
+def test_coloured_noise_is_said_to_do_it_only_if_it_does_as_much_as_every_refused_mechanism(
+    monkeypatch, explained, family, coloured
 ):
-    """A wave follows a slow residual best, and says nothing of the mechanisms behind it."""
+    """The best says nothing of the others; a drift in time follows whatever disturbs."""
     monkeypatch.setattr(gates, "FILTERS", ())
     monkeypatch.setattr(gates, "may_go_on", lambda *_: True)
     monkeypatch.setattr(
@@ -183,12 +191,12 @@ def test_coloured_noise_is_said_to_do_it_only_if_it_does_as_much_as_every_refuse
     monkeypatch.setattr(gates, "predict", lambda *_: worse)
     fitter = KnownFits({})
     contenders = []
-    for candidate, squares in ((WRONG, ONE), (RIGHT, 1.1 * ONE)):
+    for candidate, squares in ((WRONG, ONE), (made_candidate("right", family), 1.1 * ONE)):
         fitted = fit_with_squares(PROBLEM, squares, (candidate,))
         contenders.append(made_refit(fitted, fitted.criterion(fitter.records)))
     end = gates.choose(fitter, begun_at(fit_with_squares(PROBLEM, NOTHING)), contenders)
     assert end.won is None
-    assert end.seen.coloured is (len(explained) == 2)
+    assert end.seen.coloured is coloured
 
 
 @pytest.mark.parametrize("first", [72.1, 7e4])
