@@ -185,7 +185,8 @@ def _failed(facts: Facts) -> str:
 
 def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
     answer.say("")
-    answer.say(f"effect {effect['name']} ({effect['words']}) at {effect['site']}")
+    kind = "effect" if effect.get("claimed", True) else "lead"
+    answer.say(f"{kind} {effect['name']} ({effect['words']}) at {effect['site']}")
     answer.tell(f"  {effect['sentence']}")
     if effect.get("claim"):
         answer.tell(f"  {effect['claim']['sentence']}")

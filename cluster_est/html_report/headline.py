@@ -57,7 +57,7 @@ def _verdict(run: ReportedRun) -> tuple[str, Tone]:
         return _designed(run), ""
     if run.is_loop:
         verdict, tone = LOOP_VERDICTS.get(run.facts["verdict"], (run.facts["verdict"], ""))
-        named = " and ".join(f"{e['words']} at {e['site']}" for e in run.facts["effects"] or ())
+        named = " and ".join(map(_named, run.facts["effects"] or ()))
         return f"{verdict}: {named}" if named else _with_errors(run, verdict), tone
     if not run.finished or run.status in ENDINGS:
         return ENDINGS.get(run.status, (run.status, ""))
@@ -66,6 +66,11 @@ def _verdict(run: ReportedRun) -> tuple[str, Tone]:
     if run.status == RunStatus.DONE:
         verdict += ", but doubtful" if doubts else " to the noise" if _is_near_noise(run) else ""
     return _with_errors(run, verdict), run_worth(run.status, doubts).value
+
+
+def _named(effect: Row) -> str:
+    lead = "" if effect.get("claimed", True) else " (a lead)"
+    return f"{effect['words']} at {effect['site']}{lead}"
 
 
 def _is_near_noise(run: ReportedRun) -> bool:

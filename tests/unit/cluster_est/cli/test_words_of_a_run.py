@@ -98,6 +98,9 @@ def test_effects_and_leads_say_how_often_such_were_right(printed, page):
     found = LOOP | {"effects": [EFFECT | {"claim": {"sentence": sure}}]}
     assert f"  {sure}" in printed(found)
     assert f"P{sure[1:]}." in page(found)
+    doubtful = LOOP | {"verdict": "partial", "effects": [EFFECT | {"claimed": False}]}
+    assert "lead square_v (drag) at der(v)" in printed(doubtful)
+    assert "Found in part: drag at der(v) (a lead)" in page(doubtful)
     unexplained = {"verdict": "unexplained", "rejected": [EFFECT | {"claim": {"sentence": lead}}]}
     assert f"der(v) += k * v^2; {lead}" in printed(LOOP | unexplained)
     assert f"T{lead[1:]}." in page(LOOP | unexplained)
