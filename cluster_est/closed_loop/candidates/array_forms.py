@@ -23,7 +23,7 @@ from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 EQUAL_STEPS = 1e-9
-"""Steps are rounded to this share of the power of ten above them; equal results are one step."""
+"""To find equal step lengths, they are rounded to this share of the power of ten below them."""
 
 Function = Callable[..., Any]
 """A function of the arguments of a form, each (n,), followed by its coefficients."""
