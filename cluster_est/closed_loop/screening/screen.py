@@ -290,7 +290,7 @@ def rank(
 ) -> CandidateRanking:
     """Rank every candidate at a fit.
 
-    Each candidate is compared with the residual alone, so there may be more candidates than
+    Each candidate is compared with the residual separately, so there may be more candidates than
     measured values. The criterion of the selection has the penalty for a choice among many.
     """
     trajectories = fitter.trajectories(fitted)
