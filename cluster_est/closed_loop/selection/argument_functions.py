@@ -343,7 +343,7 @@ def refit_siblings(
 ) -> list[RefittedCandidate]:
     """Refit other functions of the best contender's argument, starting from its fit.
 
-    In co-simulation they are not compared first, because the signals inside are not known.
+    In co-simulation there are none, because the signals inside the model are not known.
 
     Parameters
     ----------
