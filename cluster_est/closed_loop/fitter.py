@@ -309,13 +309,13 @@ class Fitter:
         return np.random.default_rng([self.seed, stream])
 
     def space(self, start: FitStart, kind: SyntheticKind | None = None) -> SearchSpace:
-        """Make the unknowns of a model on the training experiments, or on synthetic ones."""
+        """Make the search space of a model for the training experiments, or for their copies."""
         if kind is None:
             return make_space(start.problem, self.train, starts=start.values)
         experiments = self.synthetic[kind]
         problem = replace(start.problem, experiments=self.everything.experiments)
         if isinstance(kind, EnlargedCopy):
-            problem = without_noise(problem)  # nothing was measured that a filter could follow
+            problem = without_noise(problem)  # no measurements that a filter could follow
         values = dict(start.values)
         names = {p.name for p in problem.parameters}
         for own, copy in zip(self.train, experiments, strict=True):
@@ -326,7 +326,7 @@ class Fitter:
         return make_space(problem, experiments, starts=values)
 
     def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
-        """Relabel estimates on synthetic experiments as those of the measured ones; see `space`."""
+        """Return estimates from copies with the labels of the measured experiments; see `space`."""
         experiments = self.everything.experiments
         names = {
             experiments[copy].id: experiments[own].id
@@ -346,7 +346,7 @@ class Fitter:
         method: Method,
         kind: SyntheticKind | None = None,
     ) -> list[FittedModel | None]:
-        """Fit models, all in one queue. None where one cannot be simulated."""
+        """Fit several models in one queue; None for a model that cannot be simulated."""
         spaces = [self._begun(self.space(start, kind)) for start in starts]
         requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
         fitted: list[FittedModel | None] = []
@@ -368,7 +368,7 @@ class Fitter:
         return fitted
 
     def _begun(self, space: SearchSpace) -> SearchSpace:
-        """A space with the best scales and offsets of sensors that are not known yet."""
+        """Return the space with the best start values of unknown scales and offsets of sensors."""
         return space.starting_at(with_best_sensors(self.runner, space, space.start[None])[0])
 
     def evaluate(
@@ -388,7 +388,7 @@ class Fitter:
         want: Want,
         stage: str,
     ) -> Sequence[Outcome]:
-        """Simulate experiments of a problem, at its start where no value is known."""
+        """Simulate experiments of a problem; parameters without a known value keep their start."""
         space = make_space(problem, experiments, known)
         values = space.physical(space.start)
         return self.runner.simulate(values, experiments, want, stage, problem.effects)
