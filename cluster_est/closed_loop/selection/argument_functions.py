@@ -403,7 +403,7 @@ def starts_in_its_place(
     current
         The model without the best candidate; it has the input unchanged if that acts at one.
     best
-        Its candidate is the last effect of its model. `ending_with` moves another one to the end.
+        The candidate is the last effect of its model. `ending_with` moves another one to the end.
     trials
         Candidates to try in its place.
     """
