@@ -1,10 +1,10 @@
 """The gates that a larger structure must pass to take the place of the accepted one.
 
-Each gate has a name, with which a setting can leave it out, a threshold, and the origin of this
-threshold. "theory" names a result of theory. "signal" is a property of measured data or of a
-simulation. "setting" is a key of `[closed_loop]`. "benchmark" means that no theory gives the value:
-the rates in `scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune such a value
-only on the benchmark systems with `split="tune"`, never on the others.
+Each gate has a name, a threshold, and the origin of this threshold. A setting can leave out a gate
+by its name. The origin "theory" names a result of theory. "signal" is a property of measured data
+or of a simulation. "setting" is a key of `[closed_loop]`. "benchmark" means that no theory gives
+the value: the rates in `scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune such
+a value only on the benchmark systems with `split="tune"`, never on the others.
 """
 
 from __future__ import annotations
