@@ -134,7 +134,7 @@ def _other_forms(
 ) -> list[RefittedCandidate]:
     """Refit other forms at the places of a pair, compared at the model without the effect there.
 
-    Nothing is done if the pair explains too little for a claim; other forms change that little.
+    Nothing is done if the pair explains too little for a claim; other forms would not change this.
     """
     if not begun.has(LoopPart.SIBLINGS) or not can_be_claimed(begun, pair.fitted):
         return []
