@@ -57,8 +57,8 @@ def fit_declared(
 ) -> FittedModel:
     """Fit from the user's start, and from other starts if this fit does not reach the noise.
 
-    With process noise there is only the user's start: a filter follows the measurements from any
-    start, so a short part of a record is no easier.
+    With process noise, only the user's start is used: a Kalman filter follows the measurements from
+    any start, so a short part of a record is not easier to fit.
 
     Parameters
     ----------
