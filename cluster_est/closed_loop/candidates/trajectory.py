@@ -4,7 +4,8 @@
 
 f is linear between the times of the grid. A is constant within each step: the mean of its values
 at both ends. With Z = h A, dx' = phi_0(Z) dx + h (phi_1(Z) - phi_2(Z)) f + h phi_2(Z) f', where
-phi_0 is the matrix exponential, phi_k(Z) = Z phi_(k + 1)(Z) + I / k!, and ' is the end of the step.
+phi_0 is the matrix exponential and phi_k(Z) = Z phi_(k + 1)(Z) + I / k!. A prime marks the value at
+the end of the step.
 """
 
 from __future__ import annotations
