@@ -67,7 +67,7 @@ RINGING = 0.1
 Signal: with much less damping it rings for a whole record, with much more it is a lag."""
 WEIGHTINGS = 160
 """Number of random weightings that estimate the size of a direction. The relative error of its
-square is the root of 2 over this number. Benchmark: with 96, one in ten of the stores hidden in a
+square is sqrt(2 / number). Benchmark: with 96, one in ten of the stores hidden in a
 rod of twelve nodes is not among the leading places; with 160, none is missed."""
 COLUMN_PENALTY = 8.0
 """Increase of the statistic that each additional column of a candidate, or coefficient of a curve,
