@@ -135,7 +135,7 @@ def screen(
     for done, test in enumerate(tests):
         fitter.runner.display.step(LoopStage.TESTS.value, done, len(tests))
         found.append(test())
-    ranking = replace(ranking, white=ranking.white.without_bases())  # which these tests alone need
+    ranking = replace(ranking, white=ranking.white.without_bases())  # only the tests need them
     return ScreeningResult(ranking, *found)
 
 
