@@ -4,8 +4,9 @@ A search accepts a structure that fits and predicts better than the structure be
 effects are wrong more often than the first ones, because they fit what the first ones leave. So
 all accepted structures are compared once more, by refits with each part of the data left out. A
 larger structure replaces a simpler one only if it predicts the parts better in total, and most of
-them individually; otherwise the simpler one stays. A refused structure does not end the comparison:
-a model may become worse before a later effect makes it right.
+them individually. A later, simpler structure replaces a larger one unless the larger one predicts
+better. A refused structure does not end the comparison: a model may become worse before a later
+effect makes it right.
 
 A structure is not an answer if the data allow all strengths of one of its effects to be zero.
 Without that effect it may be an answer. Effects with the same site and argument are one finding,
@@ -44,7 +45,7 @@ from workers.messages import FloatArray
 
 STRENGTH_LEVEL = 0.05
 """Largest p-value at which strengths count as different from zero; for a single strength, this is
-its 95 % interval. By definition."""
+the test by its 95 % interval. By definition."""
 
 
 def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
@@ -184,10 +185,10 @@ def p_without(fitter: Fitter, model: FittedModel, position: int, degrees: float)
 
     For a stop or an overflow, the data show that it is stiff, but not how stiff. Near the fitted
     strength, the sum of squares hardly changes; far away, towards zero, it rises strongly. So the
-    interval contains zero although the effect exists. With k strengths, n degrees of freedom of the
-    noise, and sums of squares S without the effect and s with it, n (S - s) / (k s) follows F(k, n)
-    if the effect does not exist (see `strength_p`). If the model cannot be simulated without it,
-    the p-value is 0.
+    interval of the linear model contains zero although the effect exists. With k strengths, n
+    degrees of freedom of the noise, and sums of squares S without the effect and s with it,
+    n (S - s) / (k s) follows F(k, n) if the effect does not exist (see `strength_p`). If the model
+    cannot be simulated without the effect, the p-value is 0.
     """
     start = model.start.minus(position)
     (refitted,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
