@@ -84,7 +84,7 @@ STEP_LENGTHS = (1.0, 0.3)
 POINTS_OF_GRID = 2
 """Number of grid points per candidate whose first step is simulated: those with the best scores."""
 SCALED_BY = (0.06, 3.0)
-"""Limits of the factor on a finite amount of the grid, because the effect is not small."""
+"""Limits of the factor on a finite amount of the grid, for which the linear model may be wrong."""
 
 
 def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -132,7 +132,7 @@ def can_reach(records: StackedRecords, fitted: FittedModel, bound: PruningBound)
     """Return whether more iterations could bring a fit down to a bound.
 
     The linear model predicts the result of one more step without parameter bounds. After some
-    iterations, the rest of a fit improves little more, so a multiple of this step is allowed.
+    iterations, the rest of a fit brings little more than this step, so a multiple is allowed.
     """
     times, ahead = REFINEMENT.linear_promise, _ahead(fitted)
     criteria = [each.criterion(records) for each in (fitted, ahead)]
