@@ -227,7 +227,7 @@ def _two_are_worth(begun: RoundStart, best: RoundEnd) -> bool:
 
 
 def _has_room_for_two(begun: RoundStart, best: RoundEnd) -> bool:
-    """Return whether two effects are allowed; not after coloured noise, which two follow better."""
+    """Return whether two effects are allowed: not if the best one may be only coloured noise."""
     settings = begun.settings
     room = len(begun.model.added) + 2 <= settings.max_effects
     return settings.pairs and room and not (best.won is None and best.seen.coloured)
