@@ -24,7 +24,7 @@ ACTS = 1e-9
 
 FIRST_OF_READ = (Law.LINEAR, Law.SQUARE, Law.PRODUCT_WITH_SIGNAL, Law.STORE)
 """Laws that are tried first where a parameter or an input may depend on an output: each candidate
-takes a simulation. The other laws are tried only at the places that these lead to."""
+takes a simulation. Other laws are tried only at the places where these laws explain most."""
 
 TIME = ""
 """The argument of an effect that depends on time alone: a constant, a drift or a wave."""
@@ -131,10 +131,10 @@ class OpenArguments:
         return [name for name in names if name in self.states or not is_difference(name)]
 
     def beside(self, site: EffectSite, names: Collection[str]) -> list[str]:
-        """Return the second arguments of functions whose first argument is a state pushed there.
+        """Return the second arguments of functions whose first one is a state that the site pushes.
 
-        These are the given arguments without the pushed states, and always the position whose
-        derivative is a pushed state, because the friction of a body may depend on its position.
+        These are the given arguments, and the positions whose derivatives are pushed states, but
+        not the pushed states themselves: the friction of a body may depend on its position.
         """
         pushed = self.pushed_by(site)
         places = [x for x, v in self.speeds.items() if v in pushed and x in self.states]
