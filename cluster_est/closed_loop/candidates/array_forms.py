@@ -1,7 +1,7 @@
 """Forms of effects as numpy functions over whole signals, to evaluate many candidates at once.
 
-A worker compiles an effect to byte code before it simulates with it. To rank hundreds of candidates
-nothing is simulated. Instead, their equations are evaluated along signals that are already known,
+A worker compiles an effect to byte code before it simulates with it. But the ranking of hundreds of
+candidates needs no simulation: their equations are evaluated along signals that are already known,
 and the internal states of a form are integrated along the same signals.
 """
 
