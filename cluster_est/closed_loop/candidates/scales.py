@@ -169,7 +169,7 @@ class SignalScales:
     def resolution(self) -> float:
         """The resolution in time: the interval between measurements, or the communication step.
 
-        The larger of both is used. The grids of time constants and delays are multiples of it.
+        The larger one is used. Grids of time constants and delays are multiples of the resolution.
         """
         return max(self._step, self.communication)
 
