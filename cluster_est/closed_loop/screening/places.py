@@ -226,7 +226,7 @@ def _acting(
 
 @dataclass(frozen=True)
 class AdjointSignals:
-    """Weights of terms added at any site of one experiment, in m weighted sums of its residuals.
+    """The share of a term at any site of one experiment in m weighted sums of its residuals.
 
     Attributes
     ----------
