@@ -318,9 +318,9 @@ class WaveThresholds:
     nearly
         Share of the wave's improvement that a mechanism must reach to be preferred. Benchmark.
     apart
-        Largest average deviation of the strengths that single experiments want, as a share of the
-        common strength. Theory: with random phases or signs, the common strength is smaller than
-        the single ones.
+        Largest average deviation of the strengths that fit single experiments best, as a share of
+        the common strength. Theory: with random phases or signs, the common strength is smaller
+        than the single ones.
     """
 
     periods: float = 3.0
