@@ -173,7 +173,7 @@ def finer_curves(
 
     A fine curve has many values, and its first step is misleading if the effect is large. So at
     each place that leaves more than noise, the curve is refined in steps, each with twice as many
-    values, starting from the fit before. This goes on as long as the criterion falls and both a
+    values, starting from the previous fit. This goes on as long as the criterion falls and both a
     claim and the bound are in reach. Places that fall behind are not refined.
     """
     records, alternative = fitter.records, REFINEMENT.alternative
@@ -401,7 +401,8 @@ def starts_in_its_place(
     Parameters
     ----------
     current
-        The model without the best candidate; it has the input unchanged if that acts at one.
+        The model without the best candidate. If the candidate acts at an input, this input is
+        taken from this model.
     best
         The candidate is the last effect of its model. `ending_with` moves another one to the end.
     trials
