@@ -358,10 +358,10 @@ def release_widths(
     """Refit a structure with the widths of its switches as unknowns, if that pays.
 
     Dry friction is a switch, and a simulation must give the switch a width. If the friction is
-    small compared with the noise, the width matters little, so a search holds it. If the friction
-    is large, the width shows in the data, and further effects would compensate a wrong width. Some
-    widths are simulated, and the linear model gives the step of the other unknowns for each. There
-    is no refit if it cannot reach a criterion of `most`.
+    small compared with the noise, the width matters little, so a search keeps it fixed. If the
+    friction is large, the width shows in the data, and further effects would compensate for a wrong
+    width. Some widths are simulated, and the linear model gives the step of the other unknowns for
+    each. There is no refit if it cannot reach a criterion of `most`.
     """
     held = _held_widths(model)
     if not held or not begun.has(LoopPart.SWITCH_WIDTHS):
