@@ -59,7 +59,7 @@ Benchmark."""
 
 
 def full_refit(fitter: Fitter) -> LeastSquares:
-    """Return the method of a full refit, to convergence.
+    """Return the least-squares method of a refit to convergence.
 
     For n residuals of one output, the criterion falls by n times the relative fall of their sum of
     squares. The refit ends when this is a small part of the smallest difference that tells two
@@ -132,7 +132,7 @@ def refit(
     floor
         Sum of squares that noise alone would leave.
     further
-        Whether to try candidates further back if the first ones do not close the gap to `floor`.
+        Whether to try candidates of lower rank if the first ones do not close the gap to `floor`.
         The score is computed for a small effect, so it says less about a large one.
     bound
         Criterion and sum of squares that a structure must reach; others are not refitted further.
