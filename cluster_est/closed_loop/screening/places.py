@@ -226,7 +226,7 @@ def _acting(
 
 @dataclass(frozen=True)
 class AdjointSignals:
-    """The share of a term at any site of one experiment in m weighted sums of its residuals.
+    """The contribution of a unit term at any site of one experiment to m weighted residual sums.
 
     Attributes
     ----------
