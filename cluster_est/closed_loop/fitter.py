@@ -1,4 +1,4 @@
-"""What fits models in a closed loop: to the experiments, and to synthetic ones made of them."""
+"""Fits models to the experiments of a search, and to synthetic experiments made from them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Output, Want
 
 SAMPLES_KEPT = 12
-"""Samples of each output that a shortened copy keeps at least."""
+"""Smallest number of samples of each output that a shortened copy keeps."""
 
 
 @dataclass(frozen=True)
 class ShortenedCopy:
-    """The first part of an experiment, by its share of the record."""
+    """The first part of an experiment, as a share of its record."""
 
     share: float
 
@@ -47,7 +47,7 @@ class ShortenedCopy:
 
 @dataclass(frozen=True)
 class EnlargedCopy:
-    """An experiment whose inputs swing further about their means, by a factor."""
+    """An experiment with inputs enlarged about their means, by a factor."""
 
     factor: float
 
@@ -64,14 +64,14 @@ class EnlargedCopy:
 SyntheticKind = ShortenedCopy | EnlargedCopy
 
 SHORTENED = (ShortenedCopy(0.15), ShortenedCopy(0.4))
-"""Copies that a start grows through, the shortest first. Benchmark."""
+"""Copies to which other starts are fitted first, the shortest first. Benchmark."""
 
 ENLARGED = EnlargedCopy(1.25)
-"""Copies in which a model must stay bounded. Benchmark."""
+"""Copies in which the outputs of a model must stay bounded. Benchmark."""
 
 
 def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> Problem:
-    """Return the problem with each output as a function of it and its experiment's index."""
+    """Return the problem with each output replaced by `change(index of experiment, output)`."""
     experiments = [
         replace(experiment, outputs=tuple(change(e, output) for output in experiment.outputs))
         for e, experiment in enumerate(problem.experiments)
@@ -80,10 +80,10 @@ def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> P
 
 
 class SimulationMeter:
-    """Counts simulations in units of a whole experiment, and hands them on to a record.
+    """Counts simulations in units of a whole experiment, and passes each one to a record.
 
-    What has been shortened counts for its part. The record hears which experiment it was: synthetic
-    ones are not the problem's.
+    A shortened experiment counts by its share. The record receives the id and the key of the
+    experiment, because synthetic experiments are not part of the problem.
     """
 
     def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
@@ -106,14 +106,14 @@ class FittedModel:
     Attributes
     ----------
     space, x
-        The unknowns and where they stand, in search coordinates.
+        The unknowns, and their values in search coordinates.
     residuals, jacobian : (N,), (N, unknowns)
     added
-        The effects that the loop has added, in order.
+        The effects that the search has added, in order.
     converged
-        The fit has ended by its tolerances.
+        Whether the fit has ended by its tolerances.
     steps
-        Steps of the solver in one simulation of every training experiment; 0 where they are not
+        Number of solver steps in one simulation of every training experiment; 0 if they are not
         counted.
     """
 
@@ -131,19 +131,19 @@ class FittedModel:
 
     @property
     def structure(self) -> frozenset[str]:
-        """Names of the effects that were added, whatever their order."""
+        """Names of the added effects, independent of their order."""
         return frozenset(candidate.effect.name for candidate in self.added)
 
     @property
     def start(self) -> FitStart:
-        """The same model, to be fitted again from here."""
+        """The start of another fit of the same model from its current values."""
         known = self.estimates
         for candidate in self.added:
             known |= candidate.in_order(known)
         return FitStart(self.problem, known, self.added)
 
     def moved(self, position: int) -> FittedModel:
-        """The same model, with its last effect counted at another position."""
+        """The same model, with its last effect moved to another position."""
         kept, last = self.added[:-1], self.added[-1]
         return replace(self, added=(*kept[:position], last, *kept[position:]))
 
@@ -157,9 +157,9 @@ class FittedModel:
         return self.space.estimates(self.x)
 
     def coefficients(self, added: EffectCandidate) -> list[float]:
-        """Values of the coefficients of an effect, estimated or held, of some one an experiment.
+        """Values of the coefficients of an effect, estimated or held; some have one per experiment.
 
-        Where the fit is of other experiments than the search was, these have the start.
+        For an experiment of the search that the fit does not contain, this is the start value.
         """
         known = {p.name: p.start for p in self.problem.parameters} | self.estimates
         found: list[float] = []
@@ -170,7 +170,7 @@ class FittedModel:
         return found
 
     def likelihood(self, records: StackedRecords) -> float:
-        """-2 log likelihood, with the variance of each output's noise estimated along."""
+        """-2 log likelihood, with the noise variance of each output estimated."""
         return deviance(self.residuals, records)
 
     def criterion(self, records: StackedRecords) -> float:
@@ -180,14 +180,14 @@ class FittedModel:
 
 @dataclass(frozen=True)
 class FitStart:
-    """A model to be fitted, and from where."""
+    """A model to fit, with the start values of its unknowns."""
 
     problem: Problem
     values: Mapping[str, float]
     added: tuple[EffectCandidate, ...] = ()
 
     def plus(self, candidate: EffectCandidate, values: Sequence[float]) -> FitStart:
-        """With one more effect, whose coefficients start from these values."""
+        """Return the start with one more effect, whose coefficients start from these values."""
         problem = replace(
             self.problem,
             effects=(*self.problem.effects, candidate.effect),
@@ -197,7 +197,7 @@ class FitStart:
         return FitStart(problem, known, (*self.added, candidate))
 
     def minus(self, position: int) -> FitStart:
-        """Without one of the effects that were added."""
+        """Return the start without one of the added effects."""
         gone = self.added[position].effect.name
         problem = replace(
             self.problem,
@@ -212,27 +212,27 @@ class FitStart:
 
 @dataclass(frozen=True)
 class Fitter:
-    """Fits models to the training experiments: the queue of simulations, and what they are of.
+    """Fits models to the training experiments, with one queue of simulations.
 
-    Residuals are those of simulations that go their own way. Beside process noise they are
-    innovations of a Kalman filter over their standard deviations (`predicts`).
+    The residuals are those of free simulations. With process noise, they are the innovations of a
+    Kalman filter divided by their standard deviations (`predicts`).
 
     Attributes
     ----------
     runner
-        Its executor has the problem's experiments, then the synthetic ones.
+        Its executor has the experiments of the problem, followed by the synthetic ones.
     problem, description
-        The declared model, and what its FMU says of itself.
+        The declared model, and the description of its FMU.
     train, records
-        Indices of the training experiments, and the records of their residuals, stacked.
+        Indices of the training experiments, and the stacked records of their residuals.
     synthetic
-        For each kind, the index of each training experiment's copy.
+        For each kind of copy, the index of the copy of each training experiment.
     everything
-        The problem with all experiments that are installed.
+        The problem with all experiments that the executor has.
     noise_of_samples
-        By output, where records are thinned: of the samples that rows were made from, in its unit.
+        By output, if records are thinned: the noise of the samples before thinning, in its unit.
     sigma_declared
-        The user has given a sigma, for whatever output.
+        Whether the user has given a sigma for any output.
     """
 
     runner: Runner
@@ -249,14 +249,15 @@ class Fitter:
 
     @cached_property
     def predicts(self) -> bool:
-        """Residuals are errors of predictions from one sample to the next, under process noise."""
+        """Whether residuals are one-step prediction errors, because there is process noise."""
         return bool(noise_names(self.problem))
 
     @property
     def by_linear_systems(self) -> bool:
-        """The directions of candidates follow from linear systems; else each is simulated.
+        """Whether linear systems give the directions of candidates; else each is simulated.
 
-        In co-simulation the states are hidden, and a filter corrects them.
+        In co-simulation the states are not accessible, and with process noise a filter corrects
+        them.
         """
         return self.exchange and not self.predicts
 
@@ -274,22 +275,22 @@ class Fitter:
         return self.problem.model.interface == "model_exchange"
 
     def enter(self, phase: str) -> None:
-        """Tell who watches the run what it is about from now on."""
+        """Set the phase that the progress display shows."""
         self.runner.display.phase = phase
 
     def compared(self, done: int, of: int) -> None:
-        """Tell who watches the run how many candidates were compared with the residual."""
+        """Show in the progress display how many candidates were compared with the residual."""
         self.runner.display.step(LoopStage.TRAJECTORIES.value, done, of)
 
     def noise_floor(self, noise: FloatArray) -> float:
-        """The sum of squares that the noise alone would leave; never 0."""
+        """The sum of squares that noise alone would leave; always positive."""
         sizes = list(map(len, self.records.by_output(self.sigmas)))
         return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
 
     def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
-        """The noise of each output in its own unit, from that in units of its residual.
+        """The noise of each output in its own unit, from the noise in units of its residuals.
 
-        Of sigmas that differ between experiments it is the root mean square over the samples.
+        If sigmas differ between samples, their root mean square over all samples is used.
         """
         found, sigmas = {}, self.records.by_output(self.sigmas)
         for name, level, own in zip(self.records.outputs, noise, sigmas, strict=True):
@@ -304,17 +305,17 @@ class Fitter:
         return np.concatenate([o.sigmas for run in self.runs for o in run.outputs])
 
     def generator(self, stream: int) -> np.random.Generator:
-        """A generator of its own for each use, so that no use moves another."""
+        """Return a separate generator for each use, so that uses do not change each other."""
         return np.random.default_rng([self.seed, stream])
 
     def space(self, start: FitStart, kind: SyntheticKind | None = None) -> SearchSpace:
-        """Make the unknowns of a model on the training experiments, or on synthetic ones."""
+        """Make the search space of a model for the training experiments, or for their copies."""
         if kind is None:
             return make_space(start.problem, self.train, starts=start.values)
         experiments = self.synthetic[kind]
         problem = replace(start.problem, experiments=self.everything.experiments)
         if isinstance(kind, EnlargedCopy):
-            problem = without_noise(problem)  # nothing was measured that a filter could follow
+            problem = without_noise(problem)  # no measurements that a filter could follow
         values = dict(start.values)
         names = {p.name for p in problem.parameters}
         for own, copy in zip(self.train, experiments, strict=True):
@@ -325,7 +326,7 @@ class Fitter:
         return make_space(problem, experiments, starts=values)
 
     def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
-        """Relabel estimates on synthetic experiments as those of the measured ones; see `space`."""
+        """Return estimates from copies with the labels of the measured experiments; see `space`."""
         experiments = self.everything.experiments
         names = {
             experiments[copy].id: experiments[own].id
@@ -345,7 +346,7 @@ class Fitter:
         method: Method,
         kind: SyntheticKind | None = None,
     ) -> list[FittedModel | None]:
-        """Fit models, all in one queue. None where one cannot be simulated."""
+        """Fit several models in one queue; None for a model that cannot be simulated."""
         spaces = [self._begun(self.space(start, kind)) for start in starts]
         requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
         fitted: list[FittedModel | None] = []
@@ -367,7 +368,7 @@ class Fitter:
         return fitted
 
     def _begun(self, space: SearchSpace) -> SearchSpace:
-        """A space with the best scales and offsets of sensors that are not known yet."""
+        """Return the space with the best start values of unknown scales and offsets of sensors."""
         return space.starting_at(with_best_sensors(self.runner, space, space.start[None])[0])
 
     def evaluate(
@@ -387,7 +388,7 @@ class Fitter:
         want: Want,
         stage: str,
     ) -> Sequence[Outcome]:
-        """Simulate experiments of a problem, at its start where no value is known."""
+        """Simulate experiments of a problem; parameters without a known value keep their start."""
         space = make_space(problem, experiments, known)
         values = space.physical(space.start)
         return self.runner.simulate(values, experiments, want, stage, problem.effects)

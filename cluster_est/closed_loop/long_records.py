@@ -52,11 +52,11 @@ from cluster_est.running.resources import Resources, TaskOrigin
 from workers.messages import FloatArray, Outcome, Output
 
 FAINT = 0.3
-"""Largest change of the model's outputs by thinning, as a root mean square over the noise of a
-thinned row."""
+"""Largest change of the model's outputs by thinning: the root mean square, relative to the noise of
+a thinned row."""
 
 MANY = (LoopStage.TRIALS, LoopStage.REFITS, LoopStage.PROBE, LoopStage.DROP)
-"""Stages with most of the simulations."""
+"""The stages with most simulations."""
 
 CONFIRMED_ON_ALL = "estimates, errors and conclusions are from all rows"
 
@@ -91,10 +91,11 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
 def ways_to_thin(
     whole: Problem, most: int | None, resources: Resources, first: ThinnedProblem | None = None
 ) -> Iterator[tuple[ThinnedProblem, ThinnedProblem | None]]:
-    """Give thinned records, the coarsest first, and the same as a loop looks at them.
+    """Give thinned records, the coarsest first, each also in the form that a search uses.
 
-    The second is None where thinning changes too much, and the first where nothing can be
-    simulated. `first` is the coarsest where that is known.
+    The form for a search is corrected; see `_corrected`. It is None if thinning changes the outputs
+    too much. If nothing can be simulated, there is no correction. `first` is the coarsest thinning,
+    if it is already known.
     """
     full: list[list[FloatArray]] | None = None
     for fineness in FINENESS:
@@ -109,7 +110,7 @@ def ways_to_thin(
 def _like_all_rows(
     thin: ThinnedProblem, full: list[list[FloatArray]], resources: Resources
 ) -> ThinnedProblem | None:
-    """Correct thinned records by what thinning changes; None where that is too much."""
+    """Correct thinned records by the change that thinning causes; None if it is too large."""
     simulated = _simulated(thin.problem, resources)
     if simulated is None:
         return None
@@ -118,7 +119,7 @@ def _like_all_rows(
 
 
 def _simulated(problem: Problem, resources: Resources) -> list[list[FloatArray]] | None:
-    """The outputs of the training experiments at the start; None where they cannot be simulated."""
+    """The training outputs at the start values; None if they cannot be simulated."""
     train = problem.indices("train")
     space = make_space(problem, train)
     runs = tuple(problem.experiments[e] for e in train)
@@ -145,7 +146,7 @@ Changes = Mapping[Place, FloatArray]
 def _changes(
     thin: ThinnedProblem, full: list[list[FloatArray]], simulated: list[list[FloatArray]]
 ) -> Changes:
-    """Outputs on thinned rows, less what thinning makes of the same on all rows."""
+    """Simulated outputs on thinned rows, minus the thinned outputs of a simulation on all rows."""
     found = {}
     for e, all_rows, rows in zip(thin.problem.indices("train"), full, simulated, strict=True):
         outputs = thin.problem.experiments[e].outputs
@@ -156,7 +157,7 @@ def _changes(
 
 
 def _over_noise(thin: ThinnedProblem, changes: Changes) -> float:
-    """Largest root mean square of what changes in an output, over its noise."""
+    """Largest root mean square change of an output, relative to its noise."""
     squares: dict[str, list[FloatArray]] = {}
     for (e, name), change in changes.items():
         output = next(o for o in thin.problem.experiments[e].outputs if o.variable == name)
@@ -167,12 +168,12 @@ def _over_noise(thin: ThinnedProblem, changes: Changes) -> float:
 
 
 def _corrected(thin: ThinnedProblem, changes: Changes) -> ThinnedProblem:
-    """Add to measured rows what thinning takes from the model, at the start of its parameters.
+    """Add the change of the simulated outputs by thinning to the measured rows.
 
-    A filter bends what is fast within a block, in the measured outputs and not in the simulated
-    ones: of the declared model that is known. What is left is how it changes with the parameters,
-    as in a deferred correction (V. Pereyra, Numer. Math. 8 (1966) 376-391,
-    doi:10.1007/BF02162981).
+    The filter distorts fast changes within a block, in the measured outputs but not in the
+    simulated ones. At the start values of the declared model, this error is known and is corrected.
+    What remains is its change with the parameters, as in a deferred correction (V. Pereyra, Numer.
+    Math. 8 (1966) 376-391, doi:10.1007/BF02162981).
     """
 
     def change(e: int, output: Output) -> Output:
@@ -185,9 +186,9 @@ def _corrected(thin: ThinnedProblem, changes: Changes) -> ThinnedProblem:
 def with_slim_log(
     environment: RunEnvironment, stages: Collection[LoopStage] | None = None
 ) -> RunEnvironment:
-    """Return an environment whose log keeps no residuals of some stages; None for all.
+    """Return an environment whose log has no residuals for some stages; None for all stages.
 
-    A run that is resumed simulates these again, which takes less than all else that it does.
+    A resumed run simulates these again, which takes less time than its other work.
     """
     record = environment.monitor.record
     names = None if stages is None else {stage.value for stage in stages}
@@ -204,9 +205,9 @@ def with_slim_log(
 def open_on_all_rows(
     request: LoopRequest, thin: ThinnedProblem, searching: Fitter
 ) -> Iterator[Fitter]:
-    """Open a fitter with all rows, weighted as those of a search on thinned records.
+    """Open a fitter with all rows, weighted like the fitter of a search on thinned records.
 
-    Its few simulations would be most of a log.
+    Its log has no residuals, because its few simulations would take most of the log.
     """
     weights = {
         (e, o.variable): o
@@ -230,7 +231,7 @@ def open_on_all_rows(
 
 @contextmanager
 def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWorkbench]:
-    """Open a workbench of before once more: there are workers of one at a time."""
+    """Open an earlier workbench again, because only one set of workers can exist at a time."""
     with open_workbench(replace(request, problem=workbench.fitter.problem)) as again:
         runner, meter = again.fitter.runner, again.fitter.meter
         yield replace(workbench, fitter=replace(workbench.fitter, runner=runner, meter=meter))
@@ -238,16 +239,16 @@ def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWor
 
 @dataclass(frozen=True)
 class AccountedSearch:
-    """What a search has found, in words.
+    """The result of a search, in words.
 
     Attributes
     ----------
     result, searched
-        The result but for notes on the solver, and the search.
+        The result without the notes on the solver, and the search itself.
     error
-        Of the solver, at the last model.
+        Error of the solver at the last model.
     interpolation
-        An input that the measurements prefer to be interpolated otherwise.
+        An input for which the measurements prefer another interpolation.
     """
 
     result: LoopResult
@@ -262,12 +263,12 @@ def search_and_keep(
     begin: float,
     said: str = "",
 ) -> SearchedModel:
-    """Search for effects, and keep a result after each round in which something was added.
+    """Search for effects, and save a result after each round that has added an effect.
 
     Parameters
     ----------
     said
-        Of the records that the search is on; "" if they are those that were measured.
+        Description of the thinned records; "" for a search on the measured records.
     """
     kept = request.environment.monitor.reached
 
@@ -286,14 +287,14 @@ def search_and_keep(
 def loop_on_thinned_records(
     request: LoopRequest, thin: ThinnedProblem, begin: float
 ) -> AccountedSearch:
-    """Search on thinned records, or on parts of them, and fit what is found to all rows.
+    """Search on thinned records, or on parts of them, and fit the found model to all rows.
 
     Parameters
     ----------
     request
-        Of the problem before it was thinned.
+        The request with the problem before thinning.
     begin
-        A reading of the monotonic clock.
+        Start time of the run on the monotonic clock.
     """
     environment = with_slim_log(request.environment, MANY)
     request = replace(
@@ -304,20 +305,20 @@ def loop_on_thinned_records(
 
 @dataclass(frozen=True)
 class _Search:
-    """A search that has ended.
+    """A finished search.
 
     Attributes
     ----------
     workbench
-        That it was done on.
+        The workbench that the search used.
     searched
-        What it has found.
+        The result of the search.
     starts
-        For each of its answers, both models as they fit thinned records.
+        For each answer, the models without and with the effects, fitted to thinned records.
     errors
-        Of the solver, at the last of them.
+        Error of the solver at the last model of each answer.
     said
-        What it was done on.
+        Description of the records that the search used.
     """
 
     workbench: LoopWorkbench
@@ -328,7 +329,7 @@ class _Search:
 
 
 def _fit_straight(fitter: Fitter) -> FittedModel | None:
-    """Fit the declared model in as few simulations as it takes: each is a long one."""
+    """Fit the declared model with as few simulations as possible, because each takes long."""
     ((_, fitted),) = best_on_few_rows(fitter, [FitStart(fitter.problem, {})])
     return fitted
 
@@ -338,14 +339,14 @@ Opened = TypeVar("Opened", LoopWorkbench, Fitter)
 
 @dataclass(frozen=True)
 class _ThinnedLoop:
-    """A closed loop on thinned records.
+    """A search for missing effects on thinned records.
 
     Attributes
     ----------
     request, thin, begin
         See `loop_on_thinned_records`.
     spent
-        What was simulated on each workbench that is closed: there are workers of one at a time.
+        Number of simulations on each closed workbench; only one set of workers can exist at a time.
     """
 
     request: LoopRequest
@@ -369,7 +370,7 @@ class _ThinnedLoop:
         return self._confirmed(found)
 
     def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
-        """Search in windows; if these are not sufficient, search again in the whole records."""
+        """Search in windows; if they are not sufficient, search again in the whole records."""
         declared = whole.fitter.sigma_declared
         request = replace(self._left(), problem=windows.problem, sigma_declared=declared)
         with self._counted(open_workbench(request)) as opened:
@@ -397,7 +398,7 @@ class _ThinnedLoop:
             return self._search(unfitted, more)
 
     def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
-        """Search, and fit both models to convergence where that was done."""
+        """Search, and fit both models to convergence on the records of the search."""
         said = "; ".join(filter(None, [self.thin.sentence, more]))
         searched = search_and_keep(self.request, workbench, self.begin, said)
         workbench.fitter.enter("before and after")
@@ -410,9 +411,9 @@ class _ThinnedLoop:
         return _Search(workbench, searched, starts, errors, said)
 
     def _confirmed(self, done: _Search) -> AccountedSearch:
-        """Fit both models to convergence on all rows, and put what was found into words.
+        """Fit both models to convergence on all rows, and describe the result in words.
 
-        The interpolation that the measurements prefer is told from all rows, too.
+        The interpolation that the measurements prefer is also determined from all rows.
         """
         begin, searching = self.begin, done.workbench
         opened = open_on_all_rows(self._left(), self.thin, searching.fitter)
@@ -451,7 +452,7 @@ class _ThinnedLoop:
             self.spent.append(SpentSimulations.at(fitter))
 
     def _left(self) -> LoopRequest:
-        """Return the request with what is left of the budget."""
+        """Return the request with the remaining budget."""
         used = sum(each.evaluations for each in self.spent)
         environment = self.request.environment.left(used, time.monotonic() - self.begin)
         return replace(self.request, environment=environment)

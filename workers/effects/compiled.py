@@ -1,9 +1,9 @@
 """Effects of one experiment as byte code for the core.
 
-An effect at a state derivative, an input or a parameter acts while the simulation runs, through
-three pieces of code: `start_states` sets its own states at the start, `modify_inputs` changes
-inputs and parameters before the FMU sees them, `add_derivatives` adds to the derivatives. An effect
-at an output is applied to the recorded outputs afterwards.
+An effect at a state derivative, an input or a parameter acts while the simulation runs. It has
+three pieces of code: `start_states` sets its internal states at the start, `modify_inputs` changes
+inputs and parameters before the FMU receives them, and `add_derivatives` adds to the derivatives.
+An effect at an output is applied to the recorded outputs afterwards.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An effect resolved against an FMU: equations in SymPy over the FMU's own variables, and units."""
+"""An effect in terms of an FMU: SymPy equations in the FMU's variables, with their units."""
 
 from __future__ import annotations
 

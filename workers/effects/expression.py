@@ -1,13 +1,14 @@
-"""Equations as text, read without ever running them as Python.
+"""Equations as text, which are parsed but never executed as Python.
 
-The text is parsed into Python's syntax tree and only arithmetic, comparisons and the functions
-below are turned into SymPy; anything else is refused with a sentence.
+The text is parsed into Python's syntax tree. Only arithmetic, comparisons and the functions below
+are converted to SymPy; all other syntax is refused with an error message.
 
-Functions such as `Max` and `Abs` stand for themselves here, by the names of SymPy's, which printers
-know. SymPy's own would be simplified whenever a symbol is replaced: it looks at each pair of
-arguments of a `Max` for one that is never the larger, and at an `Abs` for a simpler form of what is
-in it, and factors their differences. In an equation with many of them, as a curve has, that takes
-seconds, and finds nothing where the arguments are signals.
+Functions such as `Max` and `Abs` are defined here as plain symbolic functions, with the names of
+SymPy's functions, because the code printers know these names. SymPy's own functions would be
+simplified at every substitution: for each pair of arguments of a `Max`, SymPy tests which is
+larger; for an `Abs`, it looks for a simpler argument; and it factors differences. For an equation
+with many of them, such as a curve, this takes seconds and finds nothing if the arguments are
+signals.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The library of forms: each physically named effect as an equation.
+"""The library of forms: each is an equation with a name from physics or mathematics.
 
-In an equation, `v` is the form's variable (`v` and `w` where it has two), `t` the time, `s` the
-signal at the site, and every other name one of the form's own parameters or states. At a state
-derivative the equation is what is added to it; at a pair of derivatives it is added to the first
-and a reaction to the second; at an input, output or parameter it is what takes the place of `s`.
-With its coefficients at their neutral values a form does nothing.
+In an equation, `v` is the form's variable (`v` and `w` if it has two), `t` is the time, and `s` is
+the signal at the site. Every other name is a coefficient or an internal state of the form. At a
+state derivative, the equation is added to the derivative. At a pair of derivatives, it is added to
+the first one, and a reaction is added to the second one. At an input, an output or a parameter, the
+equation replaces `s`. If all coefficients have their neutral values, a form does nothing.
 
-A form of your own is one entry here, or an expression in a config.
+To use your own form, add an entry here, or write an expression in a config.
 """
 
 from __future__ import annotations

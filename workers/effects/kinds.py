@@ -1,4 +1,4 @@
-"""The parts of a form: its equation, its coefficients, and what a search must know of them."""
+"""The parts of a form: its equation, its coefficients, and the information that a search needs."""
 
 from __future__ import annotations
 

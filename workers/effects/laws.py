@@ -1,4 +1,4 @@
-"""Laws: how what an effect adds depends on its variables, in the words of mathematics."""
+"""Laws: the mathematical relation between the variables of an effect and its term."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import enum
 
 
 class Law(enum.Enum):
-    """The law of a form. A member's text is its name where units do not say what physics would.
+    """The law of a form. A member's text is its name if the units determine no name from physics.
 
-    {v} and {w} are the form's variables, {s} is the signal at the site. At a parameter the law is
-    that of the share by which it changes, "a variation" there, or of its divisor for an inverse.
+    {v} and {w} are the form's variables, and {s} is the signal at the site. At a parameter, the law
+    is that of its relative change (the text then says "a variation"), or of the parameter's divisor
+    for an inverse.
     """
 
     CONSTANT = "a constant term"

@@ -1,10 +1,10 @@
 """Effects at outputs, applied to recorded outputs.
 
-A lag or a delay of a sensor sees an output at all times, and a record has some: between them the
-output is interpolated. Of a wave with w h radians between two records a straight line misses
-(w h)^2 / 8, the cubic through the four records around an interval 3/128 (w h)^4: with ten records
-to a period 5 % and 0.4 % of the amplitude (P. J. Davis, Interpolation and Approximation (1975),
-section 3.1).
+A lag or a delay of a sensor depends on the output at all times, but the recorded output has values
+only at some times. Between them the output is interpolated. For a wave with w h radians between two
+values, the error of a straight line is (w h)^2 / 8 of the amplitude, and that of the cubic through
+the four values around an interval is 3/128 (w h)^4: with ten values per period, 5 % and 0.4 %
+(P. J. Davis, Interpolation and Approximation (1975), section 3.1).
 """
 
 from __future__ import annotations

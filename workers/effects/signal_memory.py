@@ -1,8 +1,8 @@
 """Forms with memory, such as delays: they change a signal as a whole, from its past values.
 
-At an input they change its samples before the simulation, ahead of the effects that act while it
-runs; at an output they change the recorded outputs. Each is a function of a signal and of the first
-coefficient of its form.
+At an input, they change its samples before the simulation, and before the effects that act during
+the simulation. At an output, they change the recorded values. Each form is a function of a signal
+and of the form's first coefficient.
 """
 
 from __future__ import annotations

@@ -1,26 +1,27 @@
-"""Forms of what a model lacks a state for: hidden stores that fill and empty, hidden oscillators.
+"""Forms with states that the model does not have: hidden stores and hidden oscillators.
 
-The wall of a room, a tissue, a gut, a second mode of vibration: each is a state of the form's own.
-What a hidden store does in terms of its argument v is first order, with a time constant tau:
+The wall of a room, a tissue, a gut, a second mode of vibration: each is an internal state of the
+form. A hidden store acts on its argument v as a first-order system with a time constant tau:
 
     der(x) += -k (v - z),    z' = (v - z) / tau
 
-A store that exchanges with the state itself (v is x) has k > 0: a heat capacity kC behind a
-conductance, a second compartment with rates k there and 1 / tau back. Two in a row are two that
-stand side by side with other numbers, as every circuit of resistors and capacitors is (R. M.
-Foster, Bell Syst. Tech. J. 3 (1924) 259-267, doi:10.1002/j.1538-7305.1924.tb01358.x), so there is
-no form of a row. Of another state, k (v - z) is what passes it late, or a spring and a damper in
-series. What lies between two states takes from both: a wall between two rooms follows a mean of
-them, with the share that its conductance to the first has of the two.
+If the store exchanges with the state itself (v is x), k is positive: a heat capacity kC behind a
+conductance, or a second compartment with the rate constants k to it and 1 / tau back. Two stores in
+series are equivalent to two parallel ones with other coefficients, as all networks of resistors and
+capacitors are (R. M. Foster, Bell Syst. Tech. J. 3 (1924) 259-267,
+doi:10.1002/j.1538-7305.1924.tb01358.x). So there is no form for stores in series. If v is another
+state, k (v - z) is a delayed transfer from it, or a spring and a damper in series. A store between
+two states depends on both: a wall between two rooms follows their weighted mean, and the weight of
+the first room is the share of its conductance.
 
-Where a store begins is known or not. As full as v says: z = v. Empty: z = 0. Elsewhere: what an
-unknown start adds decays, whatever the signals do, so z begins at 0 and a e is added, with e' = -e
-/ tau from 1; the start itself is a / k. It is linear in both, and each experiment has an a of its
-own: nobody has measured how warm the wall was.
+The initial state of a store may be known: z = v if it is full, z = 0 if it is empty. An unknown
+initial state adds a term that decays whatever the signals are. So z starts at 0, and a e is added,
+with e' = -e / tau and e = 1 at the start. Then the initial state is a / k, and the equation is
+linear in a and k. Each experiment has its own a: nobody has measured the temperature of the wall.
 
-What none of these says is found as a free filter: n equal lags in a row, with a free strength on
-each. Their impulse responses span the same space as Laguerre functions, which is dense in all that
-decays (B. Wahlberg, IEEE Trans. Automatic Control 36 (1991) 551-562, doi:10.1109/9.76361).
+Other dynamics are found as a free filter: n equal lags in series, with a free strength on each.
+Their impulse responses span the same space as Laguerre functions, which is dense in all decaying
+responses (B. Wahlberg, IEEE Trans. Automatic Control 36 (1991) 551-562, doi:10.1109/9.76361).
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Every effect that could be missing on this data: forms, sites, arguments, scales."""
+"""The candidates: every effect that the model may lack, with its form, site, arguments and grid."""

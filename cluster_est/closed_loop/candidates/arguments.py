@@ -1,4 +1,4 @@
-"""The arguments that an effect at a site may be a function of, and the places that follow."""
+"""The arguments that an effect at a site may depend on, and the places that follow from them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from workers.effects.site import EffectSite, difference, is_difference
 from workers.fmu.description import ModelDescription
 
 ACTS = 1e-9
-"""Share of a state's largest derivative below which something does not act on it."""
+"""Share of a state's largest derivative below which a signal does not count as acting on it."""
 
 
 FIRST_OF_READ = (Law.LINEAR, Law.SQUARE, Law.PRODUCT_WITH_SIGNAL, Law.STORE)
-"""Laws by which a parameter or an input may follow an output at first: each is a simulation. Others
-are looked at where these lead."""
+"""Laws that are tried first where a parameter or an input may depend on an output: each candidate
+takes a simulation. Other laws are tried only at the places where these laws explain most."""
 
 TIME = ""
-"""The argument of what depends on time alone: a constant, a drift, a wave."""
+"""The argument of an effect that depends on time alone: a constant, a drift or a wave."""
 
 
 @dataclass(frozen=True)
 class CandidatePlace:
-    """A site, and the argument of a function that may be missing there; `TIME` for one of time."""
+    """A site, and the argument of a possible missing function; `TIME` for a function of time."""
 
     site: EffectSite
     argument: str
@@ -48,37 +48,37 @@ def by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
 
 @dataclass(frozen=True)
 class OpenArguments:
-    """Everything that an effect may be a function of, in the data at hand.
+    """All signals that an effect may depend on, in the given data.
 
     Attributes
     ----------
     states, units
-        Of the FMU; none in co-simulation.
+        The states of the FMU, and their units. There are none in co-simulation.
     driven
-        Inputs and measured signals that every experiment has.
+        Inputs and measured signals that exist in every experiment.
     outputs
-        Measured ones that are no states.
+        Measured outputs that are not states.
     pushed
-        For each input the states whose derivatives it acts on, and which way: 1 or -1, or 0 where
-        that changes along the data.
+        For each input, the states whose derivatives it acts on, with the sign of its action: 1 or
+        -1, or 0 where the sign changes along the data.
     speeds
-        For each state that is the integral of another one, that one.
+        For each state that is the integral of another state, that other state.
     surroundings
-        For each state the inputs of its unit that act on its derivative: an ambient temperature, a
-        road, a pressure outside. What goes over to them is a function of the difference.
+        For each state, the inputs that have its unit and act on its derivative: an ambient
+        temperature, a road, a pressure outside. A flow to them depends on the difference.
     relative
-        For each state the differences of itself, or of its integral, and an input of one unit that
-        acts on its derivative: what a spring between a wheel and the road does to the wheel's speed
-        is a function of its deflection.
+        For each state, the differences between the state, or its integral, and an input that has
+        the same unit and acts on the state's derivative. Example: the force of a spring between a
+        wheel and the road is a function of the spring's deflection.
     no_ways
-        States and signals whose integral is no new way travelled: that is a state itself, or their
-        unit is known and is no rate. The integral of a flow may turn a pump, that of a temperature
-        is no way.
+        States and signals whose integral is not a useful argument, because the integral is itself
+        a state, or because the unit is known and is not a rate. The integral of a flow may be the
+        angle of a pump; the integral of a temperature has no such meaning.
     feeds
-        For each output the inputs that act on it at once, and not by way of states: what is missing
-        in such an output may be one more term of a balance.
+        For each output, the inputs that act on it directly and not through states. An effect that
+        is missing in such an output may be one more term of a balance.
     read
-        In co-simulation, the outputs that a parameter or an input may follow.
+        In co-simulation, the outputs that a parameter or an input may depend on.
     """
 
     states: tuple[str, ...]
@@ -96,9 +96,9 @@ class OpenArguments:
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
 
-        At a pair of states these are the first of them, differences of states of one unit and
-        single other states: the twist of a shaft may be one. A difference points from the second
-        state to the first, so one order of the pair is enough.
+        At a pair of states, the arguments are the first state of the pair, differences of states
+        of one unit, and single other states. For example, the twist of a shaft is a difference. A
+        difference points from the second state to the first, so one order of the pair is enough.
         """
         if site.kind == "pair":
             first, second = (self.states.index(name) for name in site.targets)
@@ -118,7 +118,7 @@ class OpenArguments:
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
     def around(self, site: EffectSite) -> list[tuple[str, str]]:
-        """Return a state and what is around it: inputs of its unit, or the other one of a pair."""
+        """Return each state with a signal around it: an input of its unit, or the other state."""
         if site.kind == "pair":
             first, second = site.targets
             alike = self.units[first] and self.units[first] == self.units[second]
@@ -127,21 +127,21 @@ class OpenArguments:
         return [(site.target, name) for name in self.surroundings.get(site.target, ())]
 
     def single(self, names: Collection[str]) -> list[str]:
-        """Return the arguments that are no differences: products are made of these alone."""
+        """Return the arguments that are not differences; only these are used in products."""
         return [name for name in names if name in self.states or not is_difference(name)]
 
     def beside(self, site: EffectSite, names: Collection[str]) -> list[str]:
-        """Return what a function of a state that is pushed there may depend on besides.
+        """Return the second arguments of functions whose first one is a state that the site pushes.
 
-        These are the others of some arguments, and in any case the position that it is the speed
-        of: how a body rubs depends on where it is.
+        These are the given arguments, and the positions whose derivatives are pushed states, but
+        not the pushed states themselves: the friction of a body may depend on its position.
         """
         pushed = self.pushed_by(site)
         places = [x for x, v in self.speeds.items() if v in pushed and x in self.states]
         return [n for n in dict.fromkeys([*self.single(names), *places]) if n not in pushed]
 
     def carriers(self, site: EffectSite) -> list[str]:
-        """Return what an exchange between a pair of states may grow with besides."""
+        """Return the signals with which the strength of an exchange between two states may grow."""
         return [n for n in (*self.driven, *self.states) if n not in site.targets]
 
     @cached_property
@@ -151,14 +151,14 @@ class OpenArguments:
 
     @cached_property
     def between_states(self) -> dict[str, tuple[str, str]]:
-        """The differences of two states of one unit, and the two."""
+        """The differences of two states of one unit, each with its two states."""
         return {difference(*names): names for names in self._of_one_unit}
 
     def takes(self, form: EffectForm, site: EffectSite, argument: str) -> bool:
-        """Return whether a form of one variable at a site may be a function of an argument."""
+        """Return whether a form of one variable at a site can have this argument."""
         if site.kind == "pair":
             first, second = (self.states.index(name) for name in site.targets)
-            if form.free and first > second:  # the same curve upside down
+            if form.free and first > second:  # the same curve with the opposite sign
                 return False
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
         if argument in self.between_states and not form.differences:
@@ -178,14 +178,14 @@ class OpenArguments:
         return not any(refused.get(condition, False) for condition in form.when)
 
     def pushed_by(self, site: EffectSite) -> Mapping[str, int]:
-        """Return the states that an addition at a derivative or an input pushes, and which way."""
+        """Return the states that an added term at a derivative or input acts on, with its sign."""
         return self.pushed.get(site.target, {}) if site.kind == "input" else {site.target: 1}
 
 
 def open_arguments(
     problem: Problem, description: ModelDescription, trajectories: Sequence[LinearisedTrajectory]
 ) -> OpenArguments:
-    """Return what an effect may be a function of: what all training experiments have."""
+    """Return the arguments that an effect may have: the signals of all training experiments."""
     exchange = problem.model.interface == "model_exchange"
     states = tuple(s for s in description.states if exchange)
     common = [
@@ -223,7 +223,7 @@ def _inputs_of_one_unit(
     inputs: Collection[str],
     known: Collection[str],
 ) -> dict[str, list[str]]:
-    """For each state the inputs of its unit, if it has one, that all experiments have."""
+    """For each state, the inputs of its unit (if it has a unit) that exist in all experiments."""
     driven = [name for name in inputs if name in known]
     return {
         state: [u for u in driven if unit and u != state and description.variables[u].unit == unit]
@@ -244,7 +244,7 @@ def _relative(
     states: Sequence[str],
     speeds: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
-    """For each state the differences of it, or of its integral, and an input that acts on it."""
+    """For each state, the differences of it or its integral and an input that acts on it."""
     found: dict[str, tuple[str, ...]] = {}
     for state in states:
         own = [
@@ -261,9 +261,11 @@ def _relative(
 def _feeds(
     trajectories: Sequence[LinearisedTrajectory], description: ModelDescription
 ) -> dict[str, tuple[str, ...]]:
-    """The inputs that act on each output at once: as simulated, in co-simulation as declared.
+    """The inputs that act on each output directly and not through states.
 
-    Where an output's dependencies are not declared, all inputs do if the model has no states.
+    With linearised trajectories, these are the inputs with an entry in D. In co-simulation, they
+    are the declared dependencies of the output. Where these are not declared, all inputs count if
+    the model has no states.
     """
     driven = trajectories[0].driven
     exchange = any(offer.interface == "model_exchange" for offer in description.offers)
@@ -282,7 +284,7 @@ def _feeds(
 def _pushed(
     trajectories: Sequence[LinearisedTrajectory], states: Collection[str]
 ) -> dict[str, dict[str, int]]:
-    """The states that each input acts on, by how much it changes their derivatives."""
+    """The states whose derivatives each input acts on, with the sign of its action."""
     found: dict[str, dict[str, int]] = {}
     for linear in (each.linear for each in trajectories if each.linear is not None):
         rates = np.abs(linear.derivatives).max(axis=0)
@@ -303,10 +305,10 @@ def variables_of(
     arguments: OpenArguments,
     leading: Collection[str] | None = None,
 ) -> list[tuple[str, ...]]:
-    """Return the variables that a form at a site may be a function of, of all or leading arguments.
+    """Return the variables that a form at a site may have, from all or only leading arguments.
 
-    What depends on time or on the signal itself is looked at at every site but state derivatives,
-    of which there are many.
+    Forms of time alone, or of the signal at the site alone, are tried at every site except state
+    derivatives, of which a large model has many: there, only where `TIME` is leading.
     """
     if form.variables == 0:
         left_out = leading is not None and site.kind == "derivative" and TIME not in leading
@@ -339,9 +341,9 @@ def open_places(
 ) -> list[CandidatePlace]:
     """List the places at these sites that make physical sense in a model of many states.
 
-    A force between two states is looked for where one of them acts on the other already, as a
-    function of their difference, of the first of them, or of a state that acts on both. Of the
-    difference of two states something is a function only where both act already.
+    A force between two states is tried only where one of them already acts on the other. Its
+    argument is their difference, the first state, or a state that acts on both. A function of the
+    difference of two states is tried at a derivative only where both states already act on it.
     """
     linear = [each.linear for each in trajectories if each.linear is not None]
     sizes = np.max([each.A.largest() for each in linear], axis=0)
@@ -359,7 +361,7 @@ def open_places(
 
 
 def _between(site: EffectSite, index: Mapping[str, int], acts: np.ndarray) -> list[str]:
-    """The arguments at a pair of states; none where neither acts on the other."""
+    """The arguments at a pair of states; none where neither state acts on the other."""
     first, second = site.targets
     i, j = index[first], index[second]
     if not (acts[i, j] or acts[j, i]):
@@ -373,10 +375,10 @@ def count_candidates(
     forms: Mapping[EffectSite, Sequence[EffectForm]],
     arguments: OpenArguments,
 ) -> int:
-    """Return how many candidates have been looked at if all of these places have been.
+    """Return how many candidates have been considered if all of these places have been ranked.
 
-    A free curve at a place stands for every function of its argument; products, of which there are
-    far more, are made of leading arguments alone.
+    The free curve at a place stands for every function of its argument. Products are not counted:
+    there are far more of them, and they are made only of leading arguments.
     """
     return sum(
         len(variables_of(form, site, arguments, names))

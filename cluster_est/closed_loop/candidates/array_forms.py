@@ -1,8 +1,8 @@
-"""Forms of effects as functions over whole signals, for looking at many candidates at once.
+"""Forms of effects as numpy functions over whole signals, to evaluate many candidates at once.
 
-A worker makes byte code of an effect before it simulates with it. To rank hundreds of candidates
-nothing is simulated: their equations are evaluated along signals that are already there, and the
-internal states of a form are followed along these.
+A worker compiles an effect to byte code before it simulates with it. But the ranking of hundreds of
+candidates needs no simulation: their equations are evaluated along signals that are already known,
+and the internal states of a form are integrated along the same signals.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 EQUAL_STEPS = 1e-9
-"""Of a power of ten: steps that differ by less are one."""
+"""To find equal step lengths, they are rounded to this share of the power of ten below them."""
 
 Function = Callable[..., Any]
-"""Of the arguments of a form, each (n,), and then of its coefficients."""
+"""A function of the arguments of a form, each (n,), followed by its coefficients."""
 
 
 @dataclass(frozen=True)
 class _SingleState:
-    """z' = drive - rate * z, both functions of signals and coefficients."""
+    """z' = drive - rate * z, where drive and rate are functions of signals and coefficients."""
 
     drive: Function
     rate: Function
@@ -40,7 +40,7 @@ class _SingleState:
 
 @dataclass(frozen=True)
 class _CoupledStates:
-    """z' = M z + drives, with M of the coefficients alone."""
+    """z' = M z + drives, where M depends only on the coefficients."""
 
     matrix: Function
     drives: tuple[Function, ...]
@@ -49,7 +49,7 @@ class _CoupledStates:
 
 @dataclass(frozen=True)
 class OwnStates:
-    """The own states of a form: each by itself, or all together if they act on each other."""
+    """The internal states of a form: each alone, or coupled if they act on each other."""
 
     _single: tuple[_SingleState, ...]
     _coupled: _CoupledStates | None
@@ -57,7 +57,7 @@ class OwnStates:
     def follow(
         self, arguments: Sequence[FloatArray], coefficients: Sequence[float]
     ) -> list[FloatArray]:
-        """Return each state along the arguments, of which the first is the time."""
+        """Return each state along the arguments; the first argument is the time."""
         if self._coupled is not None:
             return list(_follow_coupled(self._coupled, arguments, coefficients))
         return [_follow(state, arguments, coefficients) for state in self._single]
@@ -66,7 +66,7 @@ class OwnStates:
 def own_states_of(
     form: EffectForm, arguments: Sequence[str], symbols: Mapping[str, sp.Symbol], where: str
 ) -> OwnStates:
-    """Make the own states of a form of the library, which are linear in themselves."""
+    """Make the internal states of a library form; their equations are linear in these states."""
     own = [symbols[z.name] for z in form.states]
     derivatives = [parse(z.derivative, symbols, where) for z in form.states]
     starts = [parse(z.start, symbols, where) for z in form.states]
@@ -94,7 +94,7 @@ def own_states_of(
 def _follow(
     state: _SingleState, arguments: Sequence[FloatArray], coefficients: Sequence[float]
 ) -> FloatArray:
-    """Integrate one state: exact where the drive is linear and the rate constant in a step."""
+    """Integrate one state; exact if the drive is linear and the rate constant within a step."""
     times = arguments[0]
     drive, rate, start = (
         _along(function, arguments, coefficients)
@@ -117,16 +117,16 @@ def _follow(
 def _follow_coupled(
     states: _CoupledStates, arguments: Sequence[FloatArray], coefficients: Sequence[float]
 ) -> FloatArray:
-    """Integrate states that act on each other, (states, n); exact where the drives are linear.
+    """Integrate coupled states, (states, n); exact if the drives are linear within a step.
 
-    Steps of one length share their matrices, which are made for all lengths at once.
+    Steps of the same length share their matrices. All matrices are computed at once.
     """
     times = arguments[0]
     matrix = np.asarray(states.matrix(*coefficients), float)
     drives = np.array([_along(f, arguments, coefficients) for f in states.drives])
     start = np.array([_along(f, arguments, coefficients)[0] for f in states.starts])
     lengths = np.diff(times)
-    # the differences of equal times differ in their last bits
+    # differences between equally spaced times differ in their last bits
     unit = 10.0 ** np.floor(np.log10(lengths)) * EQUAL_STEPS
     steps, which = np.unique(np.rint(lengths / unit) * unit, return_inverse=True)
     by = step_matrices(matrix, steps)
@@ -136,9 +136,9 @@ def _follow_coupled(
 
 
 def _recursion(keep: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
-    """(x, n) of z' = keep z + pushed, for (n - 1, x, x) and (n - 1, x), by the core.
+    """(x, n): solve z' = keep z + pushed in the core, with (n - 1, x, x) and (n - 1, x) arrays.
 
-    A step before the first one puts the start where a recursion from 0 has its second value.
+    The core starts from 0, so an extra first step sets the start as its second value.
     """
     count, x = pushed.shape
     first = np.zeros((count + 1, x, x))
@@ -153,7 +153,7 @@ def _recursion(keep: FloatArray, pushed: FloatArray, start: FloatArray) -> Float
 def _along(
     function: Function, arguments: Sequence[FloatArray], coefficients: Sequence[float]
 ) -> FloatArray:
-    """Evaluate a function at all times, also one that is constant."""
+    """Evaluate a function at all times, even if its result is constant."""
     value = np.asarray(function(*arguments, *coefficients), float)
     return np.broadcast_to(value, len(arguments[0]))
 
@@ -172,15 +172,15 @@ class FormArguments(NamedTuple):
 
 @dataclass(frozen=True)
 class ArrayForm:
-    """A form of the library made ready for numpy.
+    """A form of the library as numpy functions.
 
     Attributes
     ----------
     strengths
-        Coefficients that switch the effect off at 0 and that the equation is smooth in there;
-        empty where the effect can only be switched on by a finite amount, like a dead zone.
+        Coefficients that switch the effect off at 0 and in which the equation is smooth there.
+        Empty if the effect, such as a dead zone, can only be switched on by a finite amount.
     mirrored
-        At a pair: each strength acts on both derivatives.
+        At a pair of derivatives, each strength acts on both.
     """
 
     form: EffectForm
@@ -191,9 +191,9 @@ class ArrayForm:
     _states: OwnStates
 
     def directions(self, signals: FormArguments, values: Mapping[str, float]) -> FloatArray:
-        """(n, d): what is added per unit of each strength, or the whole finite change.
+        """(n, d): the added term per unit of each strength, or the whole finite change.
 
-        At a pair a strength acts on one of the derivatives, if it is not `mirrored`.
+        At a pair, a strength acts on only one of the derivatives unless the form is `mirrored`.
         """
         if self.form.memory:
             amount = next(iter(values.values()))
@@ -227,7 +227,7 @@ def shape_of(form: EffectForm) -> ArrayForm:
     neutral = [symbols[c.name] for c in form.coefficients if c.neutral == 0.0 and not c.scale]
     order = [symbols[name] for name in names]
     mirrored = any(reaction.has(k) and equation.has(k) for k in neutral)
-    added = equation if mirrored else equation + reaction  # then no strength is in both
+    added = equation if mirrored else equation + reaction  # otherwise no strength is in both
     slopes = [_slope(added, k, neutral) for k in neutral]
     smooth = bool(slopes) and not _has_kinks(added, neutral) and all(s != 0 for s in slopes)
     changes = slopes if smooth else [equation - symbols["s"]]
@@ -243,7 +243,7 @@ def shape_of(form: EffectForm) -> ArrayForm:
 
 
 def _slope(equation: sp.Expr, strength: sp.Symbol, strengths: Collection[sp.Symbol]) -> sp.Expr:
-    """Return by how much an equation changes with a strength, with all of them at 0."""
+    """Return the derivative of an equation with respect to a strength, at zero strengths."""
     slope = sp.diff(equation, strength)
     return slope.subs(dict.fromkeys(strengths, 0)) if slope.has(*strengths) else slope
 

@@ -1,4 +1,4 @@
-"""Every effect that could be missing: each form at each site, of each variable; and finer ones."""
+"""Makes the candidates: each form at each site with each variable, and finer versions of them."""
 
 from __future__ import annotations
 
@@ -38,26 +38,26 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray
 
 FEWEST_WAVES = 1.5
-"""The fewest waves within the data at the grid's lower end. By definition: below one wave nothing
-repeats, and what bends is no ripple."""
+"""Fewest periods of a wave within the data at the lower end of the grid. By definition: with less
+than one period nothing repeats, and the curve is a bend and not a wave."""
 BELOW_GRID, ABOVE_GRID = 20.0, 50.0
-"""Factors by which a refit may go beyond the grid of a positive coefficient."""
+"""Factors by which a refit may leave the grid of a positive coefficient, below and above."""
 
 
 @dataclass(frozen=True)
 class EffectCandidate:
-    """An effect that could be missing. Two candidates with the same effect do not occur.
+    """An effect that the model may lack. No two candidates have the same effect.
 
     Attributes
     ----------
     own
-        Its variable is the state at whose derivative it acts.
+        Whether its variable is the state at whose derivative it acts.
     grid
-        Values of its coefficients to look at, each a row; strengths that it is linear in are 0.
+        Rows of coefficient values to try. Strengths in which the effect is linear are 0.
     lowest, highest
         Bounds of each coefficient for a refit.
     experiments
-        Names of the training experiments, where a coefficient has a value of its own in each.
+        Names of the training experiments, if a coefficient has its own value in each experiment.
     """
 
     effect: Effect
@@ -79,12 +79,12 @@ class EffectCandidate:
 
     @property
     def label(self) -> str:
-        """Such as "coulomb at der(v)", or "coulomb(w) at der(v)" of a variable that is another."""
+        """For example "coulomb at der(v)", or "coulomb(w) at der(v)" for another variable."""
         of = "" if self.own else ", ".join(self.effect.variables)
         return f"{self.form.name}{f'({of})' if of else ''} at {self.site}"
 
     def counts(self, coefficients: Sequence[FormCoefficient]) -> list[int]:
-        """Return how many values each of some coefficients has: one, or one an experiment."""
+        """Return how many values each coefficient has: one, or one per experiment."""
         return [len(self.experiments) if c.each else 1 for c in coefficients]
 
     @property
@@ -106,7 +106,7 @@ class EffectCandidate:
         return tuple(made)
 
     def starts(self, values: Sequence[float]) -> dict[str, float]:
-        """The same values by label, where they are those of an experiment."""
+        """Start values by label, for the coefficients that have a value in each experiment."""
         return {
             f"{self.effect.name}.{coefficient.name}[{experiment}]": value
             for coefficient, own in self._divided(values)
@@ -115,9 +115,9 @@ class EffectCandidate:
         }
 
     def in_order(self, known: Mapping[str, float]) -> dict[str, float]:
-        """Return its coefficients by label, those that may change places in their order.
+        """Return interchangeable coefficients by label, swapped; empty if they are in order.
 
-        A fit may lead two time constants past each other: the slow one is then the fast one.
+        A fit may move two time constants past each other, so that the slow one becomes the fast.
         """
         pairs = [[f"{self.effect.name}.{n}" for n in pair] for pair in self.form.twins]
         if not pairs or known[pairs[0][0]] <= known[pairs[0][1]]:
@@ -129,18 +129,18 @@ class EffectCandidate:
         return swapped if inside else {}
 
     def point(self, values: Sequence[float]) -> tuple[float, ...]:
-        """One value for each coefficient: of several, their mean."""
+        """One value for each coefficient: the mean, if it has several values."""
         return tuple(float(np.mean(own)) for _, own in self._divided(values))
 
     def sizes(self, values: Sequence[float]) -> list[float]:
-        """The values of the strengths, of some one an experiment."""
+        """The values of the strengths; some strengths have one value per experiment."""
         divided = self._divided(values)
         return [v for c, own in divided if c.name in self.strengths for v in own]
 
     def _divided(self, values: Sequence[float]) -> list[tuple[FormCoefficient, list[float]]]:
-        """Each coefficient with its value, or with those of all experiments.
+        """Each coefficient with its value, or with its values in all experiments.
 
-        One value for a coefficient alone holds in all of them.
+        If only one value per coefficient is given, the value is used for all experiments.
         """
         coefficients, given = self.form.coefficients, iter(values)
         alone = len(values) == len(coefficients)
@@ -160,17 +160,17 @@ def make_candidates(
     *,
     beside: Collection[EffectCandidate] = (),
 ) -> list[EffectCandidate]:
-    """List the candidates that the data can say something about.
+    """List the candidates on which the data contain information.
 
     Parameters
     ----------
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     places
-        Where functions of a variable are tried; None for everywhere.
+        Places at which functions of a variable are tried; None for all places.
     beside
-        Candidates that have been looked at: those beside them are listed, at the places alone and
-        with the forms that are looked at later.
+        Candidates that were already tried. If given, only the other candidates at `places` are
+        listed, including the forms that are tried later.
     """
     exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
     arguments = open_arguments(problem, description, trajectories)
@@ -202,11 +202,11 @@ def make_candidates(
 
 
 def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
-    """Site, form and variables of an effect, the same however they were written."""
+    """Site, form and variables of an effect, independent of how the effect was written."""
     site = parse_site(effect.site, f"effect {effect.name!r}: site")
     form = FORMS[site.kind, effect.form]
     variables = effect.variables or unnamed_variables(form, site)
-    return str(site), form.name, tuple(sorted(variables))  # those of two are products
+    return str(site), form.name, tuple(sorted(variables))  # forms of two variables are products
 
 
 def _candidate(
@@ -217,7 +217,7 @@ def _candidate(
     taken: Container[str],
     arguments: OpenArguments,
 ) -> EffectCandidate | None:
-    """A candidate with its grid; None where the form makes no sense on this data."""
+    """A candidate with its grid; None if the form makes no sense for these data."""
     if not scales.allow(form, site, variables):
         return None
     own = site.kind == "derivative" and variables == (site.target,)
@@ -252,7 +252,7 @@ def _candidate(
 
 
 def _stopped_by(coefficient: FormCoefficient, form: EffectForm, site: EffectSite) -> str:
-    """Return the state whose derivative a slope acts on that has a place; "" for all else."""
+    """Return the state on whose derivative a slope with a threshold acts; "" for other slopes."""
     if not site.at_rates or not any(c.name == "at" for c in form.coefficients):
         return ""
     return {"site / v": site.target, "other / v": site.other}.get(coefficient.unit, "")
@@ -268,16 +268,16 @@ def _bounds(
     *,
     free: bool,
 ) -> tuple[float, float]:
-    """Bounds of a coefficient in a refit; `way` is how the effect pushes its own variable.
+    """Bounds of a coefficient in a refit; `way` is the sign of the effect on its own variable.
 
-    Where a time costs a solver nothing (`free`: a delay of an input), it may be as short as may be.
+    If `free`, as for a delay of an input, a short time costs the solver nothing: it has no minimum.
     """
     if coefficient.name in strengths:
         if not positive(coefficient, own=way != 0):
             return -np.inf, np.inf
         return (0.0, np.inf) if way >= 0 else (-np.inf, 0.0)
     if coefficient.scale is GridScale.QUANTILE_V:
-        v = pooled(scales.trajectories, variables[0])  # moves, once the effect is there
+        v = pooled(scales.trajectories, variables[0])  # its range changes once the effect acts
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
@@ -297,16 +297,16 @@ def _bounds(
 
 
 def _is_first(form: EffectForm) -> bool:
-    """Return whether a form is tried before others have: free filters are where none passes."""
+    """Return whether a form is tried first. Free filters are tried only if no other form passes."""
     return not form.finer_than and not form.is_dynamics
 
 
 @final
 @dataclass(frozen=True)
 class OpenSites:
-    """The sites at which something may be missing, and the forms to try there.
+    """The sites at which the model may lack an effect, and the forms to try there.
 
-    Those of a user's choice, if there is one.
+    If the user has chosen sites or forms, only those are used.
     """
 
     problem: Problem
@@ -320,7 +320,7 @@ class OpenSites:
 
     @property
     def single(self) -> list[EffectSite]:
-        """Those that are no pairs of states."""
+        """The sites that are not pairs of states."""
         problem, states = self.problem, self.description.states
         train = [problem.experiments[e] for e in problem.indices("train")]
         driven = {given.variable for e in train for given in e.inputs}
@@ -333,12 +333,12 @@ class OpenSites:
         }
         offered = open_sites(self.description, problem.model.interface, measured)
         sites = [site for site in offered if site.target in wanted[site.kind]]
-        if not noise_names(problem):  # beside a filter nothing acts on what is measured
+        if not noise_names(problem):  # with a Kalman filter, no effect acts on measured outputs
             sites += [EffectSite("output", name) for name in sorted(measured)]
         return self._chosen(sites)
 
     def forms_at(self, site: EffectSite, *, later: bool = False) -> list[EffectForm]:
-        """Return the forms to try at a site; `later` those too that are looked at later."""
+        """Return the forms to try at a site; if `later`, including those that are tried later."""
         forms, model = self.settings.forms, self.problem.model
         exchange = model.interface == "model_exchange"
         kinks = (exchange or self.description.variable_steps) and not noise_names(self.problem)
@@ -347,7 +347,7 @@ class OpenSites:
             for (kind, name), form in FORMS.items()
             if kind == site.kind
             and (name in forms if forms else _is_first(form) and form.later <= later)
-            and (kinks or not form.memory)  # between the samples
+            and (kinks or not form.memory)  # a delay needs values between the samples
         ]
 
     def _chosen(self, sites: Sequence[EffectSite]) -> list[EffectSite]:
@@ -355,7 +355,7 @@ class OpenSites:
         return [site for site in sites if not chosen or str(site) in chosen]
 
     def _pairs(self) -> list[EffectSite]:
-        """The pairs of states between which a force could be missing, in either order."""
+        """The pairs of states between which the model may lack a force, in both orders."""
         moving = self._moving()
         offered = open_pairs(self.description, self.problem.model.interface)
         pairs = [site for site in offered if set(site.targets) <= moving]
@@ -364,27 +364,27 @@ class OpenSites:
         ]
 
     def _moving(self) -> set[str]:
-        """The states at whose derivative something may be missing: nothing can where dx/dt = v."""
+        """The states whose derivatives may lack a term: not those with the exact dx/dt = v."""
         integrated = integrated_states(self.trajectories)
         exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT_FACTOR}
         return set(self.description.states) - exact
 
 
 BETWEEN = 4
-"""Steps for each one of the candidate's own grid."""
+"""Number of intervals into which a denser grid divides each interval of the candidate's grid."""
 BEGINNINGS = np.linspace(0.04, 0.96, 24)
-"""Quantiles of its argument at which an effect may begin."""
+"""Quantiles of the argument at which an effect may set in."""
 DENSE_GRID = 12
-"""Points of a grid that is dense as it is: of waves."""
+"""Number of grid points above which a grid is already dense, such as the grid of a wave."""
 
 
 def denser_grid(
     candidate: EffectCandidate, trajectories: Sequence[LinearisedTrajectory]
 ) -> list[tuple[float, ...]]:
-    """Return a grid with more points in the one coefficient that the candidate's own grid varies.
+    """Return a denser grid of the single coefficient that varies in the candidate's own grid.
 
-    Where an effect begins must be nearly right, or it looks like less than one that begins nowhere.
-    A grid in several coefficients stays as it is.
+    The threshold of an effect must be nearly right; otherwise the effect seems to explain less than
+    an effect without a threshold. A grid that varies several coefficients is returned unchanged.
     """
     rows = np.array(candidate.grid)
     moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
@@ -409,7 +409,7 @@ def _with_more_between(known: FloatArray) -> FloatArray:
 
 
 RARE = 0.005
-"""Share of the samples at each end that a curve stays constant for."""
+"""Share of the samples at each end of the range over which a curve stays constant."""
 
 
 def finer_form(coarse: EffectCandidate) -> EffectForm | None:
@@ -422,7 +422,7 @@ def finer_form(coarse: EffectCandidate) -> EffectForm | None:
 
 
 def in_finer_form(coarse: EffectCandidate, form: EffectForm) -> EffectCandidate:
-    """Return a free curve or filter with more values, as free: over the same range, as slow."""
+    """Return a free curve or filter with more values, but with the same range and bounds."""
     given = {c.name: i for i, c in enumerate(coarse.form.coefficients)}
     like = [given.get(c.name, given[coarse.strengths[0]]) for c in form.coefficients]
     name = coarse.effect.name.replace(coarse.form.name, form.name, 1)
@@ -442,10 +442,10 @@ def refined(
     trajectories: Sequence[LinearisedTrajectory],
     form: EffectForm,
 ) -> tuple[EffectCandidate, list[float]]:
-    """Return a finer curve or filter that says the same as a fitted one.
+    """Return a finer curve or filter with the same values as a fitted coarser one.
 
-    With the effect the motion may go further than it did without. Where all values of a curve are
-    free, the finer one is spread over where its argument goes now.
+    With the effect, the trajectory may leave the range that it had without. If all values of a
+    curve are unknowns, the finer curve covers the range that its argument has with the effect.
     """
     known = dict(zip([c.name for c in coarse.form.coefficients], values, strict=True))
     if form.is_dynamics:
@@ -464,7 +464,7 @@ def refined(
 
 
 def _held(candidate: EffectCandidate, known: dict[str, float]) -> EffectCandidate:
-    """Return a curve whose held coefficients may be what they are."""
+    """Return a curve whose bounds and grid contain the values of its held coefficients."""
     held = {i: known[c.name] for i, c in enumerate(candidate.form.coefficients) if c.held}
     low, high = list(candidate.lowest), list(candidate.highest)
     for i, value in held.items():

@@ -1,4 +1,4 @@
-"""Ranges in which the data let the coefficients of a form lie."""
+"""Ranges of the coefficients of a form, derived from the signals in the data."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from workers.effects.site import EffectSite, split_variable
 from workers.messages import FloatArray
 
 BOTH_SIGNS = 0.15
-"""Share of its rms that a signal must reach on both sides of zero to oscillate. Benchmark."""
+"""Share of its rms that a signal must reach on both sides of zero to count as oscillating.
+Benchmark."""
 
 SHORTEST_TIME = 0.1
-"""Share of the interval between measurements, or of a longer communication step, that a time
-constant has at least, be it a lag's or that of a state which stops itself. Signal: what is shorter
-is a gain of a slope to the data, or a hard stop, and costs a solver steps in proportion (at a
-twentieth, 40 times the simulation of two tanks)."""
+"""Smallest time constant, of a lag or of a state that acts on its own derivative, as a share of the
+interval between measurements, or of the communication step if that is longer. Signal: for the data,
+a shorter lag is a gain and a steeper slope is a hard stop, and the number of solver steps grows in
+proportion (at a twentieth, a simulation of two tanks takes 40 times as long)."""
 
 
 @dataclass(frozen=True)
 class SignalScales:
     """Sizes of all signals over all training experiments.
 
-    `communication` is the step at which an FMU exchanges them, 0.0 where it does so at all times of
-    the data. `step` is that of a solver which does not shorten it at a switch, 0.0 for others.
-    `units` are those of the FMU's variables.
+    `communication` is the communication step of the FMU; it is 0.0 if the FMU exchanges its signals
+    at all times of the data. `step` is the step of a solver that does not shorten its step at a
+    switch; it is 0.0 for other solvers. `units` are the units of the FMU's variables.
     """
 
     trajectories: Sequence[LinearisedTrajectory]
@@ -62,7 +63,7 @@ class SignalScales:
     def grid(
         self, coefficient: FormCoefficient, site: EffectSite, variables: tuple[str, ...]
     ) -> tuple[float, ...]:
-        """Return the values of a coefficient to look at."""
+        """Return the values of a coefficient to try."""
         scale = coefficient.scale
         if scale is GridScale.SPECTRUM:
             return tuple(self.frequencies)
@@ -92,7 +93,7 @@ class SignalScales:
     def _scaled_by(
         self, scale: GridScale | None, site: EffectSite, variables: tuple[str, ...]
     ) -> FloatArray | None:
-        """The signal whose size a scale is."""
+        """The signal from whose size a scale is computed."""
         if scale in _OF_SECOND:
             return self._pooled(variables[1])
         return self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
@@ -105,7 +106,7 @@ class SignalScales:
         site: EffectSite,
         variables: tuple[str, ...],
     ) -> FloatArray:
-        """Values of a coefficient that are spread over what a signal does."""
+        """Values of a coefficient, spread over the range or the rates of a signal."""
         if scale is GridScale.QUANTILE_V:
             return np.asarray(np.quantile(signal, rates))
         if scale is GridScale.RANGE_S:
@@ -121,11 +122,11 @@ class SignalScales:
         return np.asarray(rates * _SIZES[scale](signal))
 
     def steepest(self, state: str, variable: str) -> float:
-        """Return the largest slope that data can tell from a hard stop, where a state stops itself.
+        """Return the largest slope of a state's own derivative that data can tell from a hard stop.
 
-        A slope s of der(x) over x is a time constant 1 / s. Below the shortest that can be told,
-        and below the model's own, the state only stays where the stop is, and the solver pays for
-        it in steps. Infinite where the variable has nothing of the state.
+        A slope s of der(x) over x is a time constant 1 / s. If it is far shorter than the
+        resolution and than the model's own time constant, the state only stays at the stop, and
+        the solver takes many small steps. Infinite if the variable does not contain the state.
         """
         if state not in split_variable(variable, self.trajectories[0].signals):
             return np.inf
@@ -140,7 +141,7 @@ class SignalScales:
         return about is not None and not warm and _positive(about)
 
     def _pooled(self, name: str) -> FloatArray:
-        """A signal of all experiments."""
+        """The values of a signal in all experiments."""
         if name not in self._known:
             self._known[name] = pooled(self.trajectories, name)
         return self._known[name]
@@ -156,7 +157,7 @@ class SignalScales:
         return bool(np.abs(starts).max() > reach)
 
     def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
-        """The signal that a form bends: its variable, else that at the site."""
+        """The signal that a form changes: its variable, or without one the signal at the site."""
         return self._pooled(variables[0]) if variables else self._signal(site)
 
     def _signal(self, site: EffectSite) -> FloatArray | None:
@@ -166,15 +167,15 @@ class SignalScales:
 
     @cached_property
     def resolution(self) -> float:
-        """What time resolves: the usual interval between measurements, or between communications.
+        """The resolution in time: the interval between measurements, or the communication step.
 
-        Time constants and delays are multiples of it.
+        The larger one is used. Grids of time constants and delays are multiples of the resolution.
         """
         return max(self._step, self.communication)
 
     @cached_property
     def _step(self) -> float:
-        """The usual interval between measurements; the grid has other times too."""
+        """The median interval between measurements; the times of the grid may be closer."""
         measured = [c.times[np.unique(c.rows)] for c in self.trajectories]
         steps = np.concatenate([np.diff(times) for times in measured])
         if not steps.size:
@@ -182,7 +183,7 @@ class SignalScales:
         return float(np.median(steps))
 
     def _coupling(self, site: EffectSite) -> float:
-        """Ratio of how two states act on each other, as that of the inertias of two masses."""
+        """Ratio of the actions of two states on each other, such as the ratio of two inertias."""
         largest = np.zeros(2)
         for linear in (each.linear for each in self.trajectories if each.linear is not None):
             first, second = (linear.state_names.index(name) for name in site.targets)
@@ -191,19 +192,19 @@ class SignalScales:
         return float(largest[1] / largest[0]) if (largest > 0.0).all() else 1.0
 
     def _fastest(self, name: str) -> float:
-        """Largest rate of change of a signal, at most its range within a sampling interval."""
+        """Largest rate of change of a signal; at most its range over one sampling interval."""
         pairs = [(trajectory.signal(name), trajectory.times) for trajectory in self.trajectories]
         largest = max(float(np.abs(np.diff(s) / np.diff(t)).max(initial=0.0)) for s, t in pairs)
         return min(largest, float(np.ptp(self._pooled(name))) / self._step)
 
     def _crossed(self, name: str) -> float:
-        """How far a signal usually moves in a step: what is narrower is stepped across unseen."""
+        """Median change of a signal per step; a solver steps across a narrower switch unnoticed."""
         pairs = [(each.signal(name), each.times) for each in self.trajectories if each.has(name)]
         moved = [np.abs(np.diff(s)) * np.minimum(self.step / np.diff(t), 1.0) for s, t in pairs]
         return float(np.median(np.concatenate(moved)))
 
     def _travel(self, name: str) -> float:
-        """Root mean square of the integral of a signal about its mean."""
+        """Root mean square of the integral of a signal, about the mean of the integral."""
         ways = self._ways(name)
         total = sum(float(((way - way.mean()) ** 2).sum()) for way in ways)
         return float(np.sqrt(total / max(sum(map(len, ways)), 1)))
@@ -218,7 +219,7 @@ def _moves(signal: FloatArray) -> bool:
 
 
 def _waves(repeats: FloatArray, span: float) -> FloatArray:
-    """Wave numbers that repeat so often in a span; where it is several turns also 1, 2, 3 ..."""
+    """Wave numbers with these numbers of periods in a span, and 1, 2, 3 ... if they are larger."""
     if not span > 0.0:
         return np.zeros(0)
     waves = 2.0 * np.pi * repeats / span
@@ -227,25 +228,25 @@ def _waves(repeats: FloatArray, span: float) -> FloatArray:
 
 
 def _positive(signal: FloatArray) -> bool:
-    """Return whether a signal is never negative, but for the error of a solver."""
+    """Return whether a signal is never negative, within the error of a solver."""
     return bool(signal.min() >= -1e-6 * np.abs(signal).max())
 
 
 def oscillates(signal: FloatArray) -> bool:
-    """Return whether a signal takes both signs clearly."""
+    """Return whether a signal is clearly positive at times and clearly negative at others."""
     reach = BOTH_SIGNS * float(np.sqrt(np.mean(signal**2)))
     return bool(signal.min() < -reach and signal.max() > reach)
 
 
 _ABOVE_ZERO = {"K": 0.0, "degC": 273.15, "Cel": 273.15, "\N{DEGREE SIGN}C": 273.15}
-"""How far the zero of a unit of temperature lies above absolute zero."""
+"""How far the zero of a temperature unit lies above absolute zero."""
 _OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S, GridScale.FASTEST_S)
 _OF_SECOND = (GridScale.LOW_W, GridScale.HIGH_W, GridScale.MAX_W)
 _ENDS = (GridScale.LOW_V, GridScale.HIGH_V, GridScale.LOW_W, GridScale.HIGH_W)
 _AS_THEY_ARE = (
     GridScale.EXPONENT, GridScale.NUMBER, GridScale.DAMPING, GridScale.SHARE, GridScale.KELVIN,
 )  # fmt: skip
-"""Scales whose entries are the values, whatever the data are."""
+"""Scales whose grid entries are the values themselves, independent of the data."""
 _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.MEAN_V: lambda v: v.mean(),
     GridScale.MEAN_ABSOLUTE_V: lambda v: np.abs(v).mean(),
@@ -259,4 +260,4 @@ _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.MAX_S: lambda s: np.abs(s).max(),
     GridScale.RMS_V: lambda v: np.sqrt(np.mean(v**2)),
 }
-"""Sizes of a signal that a grid is a multiple of."""
+"""Sizes of a signal; the entries of a grid are multiples of them."""

@@ -1,10 +1,11 @@
-"""Linearised trajectories: signals of simulated experiments, and the linear systems along them.
+"""Linearised trajectories: signals of simulated experiments, and linear systems along them.
 
     d(dx)/dt = A dx + f,    dy = C dx
 
-f is linear between the times of the grid, and A constant within each step: the mean of its values
+f is linear between the times of the grid. A is constant within each step: the mean of its values
 at both ends. With Z = h A, dx' = phi_0(Z) dx + h (phi_1(Z) - phi_2(Z)) f + h phi_2(Z) f', where
-phi_0 is the exponential and phi_k(Z) = Z phi_(k + 1)(Z) + I / k!.
+phi_0 is the matrix exponential and phi_k(Z) = Z phi_(k + 1)(Z) + I / k!. A prime marks the value at
+the end of the step.
 """
 
 from __future__ import annotations
@@ -25,28 +26,27 @@ from workers.grid import build_grid, values_at
 from workers.messages import Experiment, FloatArray, IntArray, Linearisation, Outcome
 
 KINEMATIC = 1e-6
-"""Relative gap of der(x) and another state below which they are the same: a little above the error
-of a solver. Signal."""
+"""Relative difference between der(x) and another state below which they count as the same. Signal:
+it is a little above the error of a solver."""
 
 
 @dataclass(frozen=True)
 class LinearisedTrajectory:
-    """One experiment along the current fit, of n times and k residuals.
+    """One experiment, simulated at the current fit, with n times and k residuals.
 
     Attributes
     ----------
     signals
-        Everything that an effect may be a function of, by its FMU name, each (n,): states (model
-        exchange), inputs as they reach the FMU, measured signals, outputs.
+        All signals that an effect may depend on, by FMU name, each (n,): states (only in model
+        exchange), inputs as the FMU receives them, measured signals, and outputs.
     outputs, names : (n, y)
-        In model exchange before effects at outputs, in co-simulation behind them.
+        Outputs before effects at outputs in model exchange, and after them in co-simulation.
     linear
         The linear time-varying system along it; None in co-simulation.
     rows, columns, sigmas : (k,)
-        Place of each residual in `outputs`, and its divisor.
+        The row and column of each residual in `outputs`, and the sigma that divides it.
     driven
-        The inputs as they were measured, at the same times; in `signals` they are as effects have
-        changed them.
+        The inputs as measured, at the same times. In `signals`, effects have changed them.
     """
 
     times: FloatArray = field(repr=False)
@@ -60,11 +60,11 @@ class LinearisedTrajectory:
     driven: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
 
     def residual_change(self, change: FloatArray) -> FloatArray:
-        """(n, y, m) changes of the outputs to (k, m) changes of the residuals."""
+        """Convert (n, y, m) changes of the outputs to (k, m) changes of the residuals."""
         return np.asarray(-change[self.rows, self.columns] / self.sigmas[:, None])
 
     def has(self, name: str) -> bool:
-        """Return whether there is such a signal, or both of a difference."""
+        """Return whether a signal exists; for a difference, whether both its signals exist."""
         return bool(split_variable(name, self.signals))
 
     def signal(self, name: str) -> FloatArray:
@@ -77,9 +77,9 @@ class LinearisedTrajectory:
 def make_trajectory(
     experiment: Experiment, outcome: Outcome, states: Sequence[str]
 ) -> LinearisedTrajectory:
-    """From the answer to "linearisation", or to "trajectory" in co-simulation.
+    """Make a trajectory from the result of a linearisation, or of a simulation in co-simulation.
 
-    `states` are the FMU's: those that effects bring along are nothing to depend on.
+    `states` are the states of the FMU. No effect may depend on states that other effects add.
     """
     linear, trajectory = outcome.linearisation, outcome.trajectory
     if linear is not None:
@@ -116,14 +116,14 @@ def make_trajectory(
 
 
 def pooled(trajectories: Sequence[LinearisedTrajectory], name: str) -> FloatArray:
-    """A signal of all experiments that have it, one behind the other."""
+    """A signal in all experiments that have it, concatenated."""
     return np.concatenate(
         [trajectory.signal(name) for trajectory in trajectories if trajectory.has(name)]
     )
 
 
 def knots_over(values: FloatArray, count: int) -> FloatArray:
-    """Knots half way between even ones and quantiles: where an argument is, and at its ends."""
+    """Knots half way between equally spaced values and quantiles of an argument."""
     shares = np.linspace(0.0, 1.0, count)
     even = values.min() + shares * np.ptp(values)
     between = 0.5 * (even + np.quantile(values, shares))
@@ -131,13 +131,13 @@ def knots_over(values: FloatArray, count: int) -> FloatArray:
 
 
 def hats(knots: FloatArray, values: FloatArray) -> FloatArray:
-    """(n, knots): a piecewise linear function with each of its values at 1, all others at 0."""
+    """(n, knots): piecewise linear basis functions, each 1 at its own knot and 0 at the others."""
     inside = np.clip(values, knots[0], knots[-1])
     return np.column_stack([np.interp(inside, knots, height) for height in np.eye(len(knots))])
 
 
 CONSTANT_FACTOR = 1e-4
-"""Share of its factor by which a kinematic equation may change along a trajectory."""
+"""Largest change of the factor of a kinematic equation along a trajectory, as a share of it."""
 
 
 def integrated_states(
@@ -148,10 +148,11 @@ def integrated_states(
     Returns
     -------
     dict
-        v and c by x: its speed and 1 for an angle, that of a wheel and its radius for a way.
+        For each x, the state v and the factor c: for an angle its speed and 1; for the distance of
+        a wheel its angular speed and its radius.
     """
     found: dict[str, tuple[str, float]] = {}
-    # the equations are those of all experiments
+    # the equations must hold in all experiments
     linear = next((each.linear for each in trajectories if each.linear is not None), None)
     if linear is None:
         return found
@@ -172,12 +173,12 @@ def integrated_states(
 
 
 TERMS = 12
-"""Of the Taylor series of phi_2: at a norm of 1/2 the first that is left out is below rounding."""
+"""Terms of the Taylor series of phi_2: at a norm of 1/2, the next term is below rounding error."""
 
 
 @dataclass(frozen=True)
 class StepMatrices:
-    """A system in discrete time, (x, x) of one step or (n - 1, x, x) of all.
+    """A system in discrete time: (x, x) matrices of one step, or (n - 1, x, x) of all steps.
 
     dx' = keep dx + from_first f + from_last f'
     """
@@ -188,15 +189,15 @@ class StepMatrices:
 
 
 def step_matrices(a: FloatArray, h: float | FloatArray) -> StepMatrices:
-    """Matrices of one step, or of many at once, by scaling and squaring of phi_2.
+    """Compute the matrices of one step, or of many at once, by scaling and squaring of phi_2.
 
     B. Skaflestad, W. M. Wright, Appl. Numer. Math. 59 (2009) 783-799,
-    doi:10.1016/j.apnum.2008.03.035, with the Taylor series in the place of their rational function:
+    doi:10.1016/j.apnum.2008.03.035, with the Taylor series instead of their rational function:
     phi_1(2 Z) = (phi_0 phi_1 + phi_1) / 2 and phi_2(2 Z) = (phi_0 phi_2 + phi_1 + phi_2) / 4.
 
     Parameters
     ----------
-    a, h : (x, x), or (n, x, x), of each step its own; the step, or (n,) steps
+    a, h : one matrix (x, x), or one for each step (n, x, x); the step length, or lengths (n,)
     """
     h = np.asarray(h)[..., None, None]
     eye: npt.NDArray[np.float64] = np.eye(a.shape[-1])
@@ -221,7 +222,7 @@ def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
 
 
 def run_recursion(name: str, steps: StepMatrices, values: FloatArray) -> FloatArray:
-    """Run a recursion of the core over (n, x, m) values, which its results take the place of."""
+    """Run a recursion of the core over (n, x, m) values; the results overwrite the values."""
     values = np.ascontiguousarray(values)
     matrices = [np.ascontiguousarray(m) for m in (steps.keep, steps.from_first, steps.from_last)]
     n, x, m = values.shape
@@ -231,16 +232,16 @@ def run_recursion(name: str, steps: StepMatrices, values: FloatArray) -> FloatAr
 
 
 HELD = 1e-3
-"""Largest change of A, over the largest entry of its row, for which the matrices of the last step
-hold for the next one: a fifth of what tells a direction from the declared parameters."""
+"""Largest change of an entry of A, over the largest entry of its row, for which the matrices of the
+last step are used again. It is a fifth of the limit that tells a direction from the parameters."""
 
 
 def discretise(linear: Linearisation) -> StepMatrices:
-    """Matrices of all steps at once, exact where A is constant within each step.
+    """Compute the matrices of all steps at once, exact where A is constant within each step.
 
     C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
-    `step_matrices` agrees to 1e-11, but on measured records near-equal candidates change places by
-    less, and with this way the figures of the benchmark and of the league were made.
+    `step_matrices` agrees to 1e-11. On measured records, smaller differences can already change the
+    order of nearly equal candidates. The figures of the benchmark and the league used this method.
     """
     a = np.asarray(linear.A)
     h = np.diff(linear.times)
@@ -257,11 +258,11 @@ def discretise(linear: Linearisation) -> StepMatrices:
 
 
 def streamed_steps(linear: Linearisation, *, backwards: bool = False) -> Iterator[StepMatrices]:
-    """Give the matrices of each step in turn, or from the last one on.
+    """Give the matrices of each step in turn, in the forward or backward direction of time.
 
-    They are made anew where A has changed by more than `HELD`, or the step by more than rounding.
-    The steps where that happens are the same in both directions of time, so that one is the adjoint
-    of the other.
+    The matrices are computed again where A has changed by more than `HELD`, or the step length by
+    more than rounding error. This happens at the same steps in both directions, so the backward
+    recursion is the adjoint of the forward one.
     """
     h = np.diff(linear.times)
     values = 0.5 * (linear.A.values[1:] + linear.A.values[:-1])
@@ -278,7 +279,7 @@ def streamed_steps(linear: Linearisation, *, backwards: bool = False) -> Iterato
 
 
 def _made_at(linear: Linearisation, h: FloatArray, values: FloatArray) -> list[int]:
-    """The step whose matrices hold for each step: itself, or the one where they were made last."""
+    """For each step, the step whose matrices it uses: its own, or the last that were computed."""
     largest = linear.A.largest().max(axis=1)[linear.A.rows]
     most = HELD * np.maximum(largest, np.finfo(float).tiny)
     found = [0]
@@ -291,24 +292,24 @@ def _made_at(linear: Linearisation, h: FloatArray, values: FloatArray) -> list[i
 
 
 LARGE = 24
-"""States from which the matrices of all steps take too much memory, and a library's products of
-matrices are faster than loops."""
+"""Number of states from which the matrices of all steps need too much memory, and from which matrix
+products of a library are faster than the loops of the core."""
 
 FEW_VALUES, MANY_VALUES = 2_000_000, 12_000_000
-"""Values that are kept at once: 16 MB, and 96 MB where few blocks save making the steps again."""
+"""Values in memory at once: 16 MB, or 96 MB where fewer blocks save computing the steps again."""
 
 
 @dataclass(frozen=True)
 class Forcing:
-    """m forcings of a linear system, each an amount along a direction among its states.
+    """m forcings of a linear system; each acts with some amount along a direction of the states.
 
     Attributes
     ----------
     amounts : (n, m)
     directions
-        A state, by its index, or a direction that changes with time, (n, x).
+        The index of a state, or a direction that varies with time, (n, x).
     which : (m,)
-        The direction of each forcing.
+        The index of the direction of each forcing.
     """
 
     amounts: FloatArray = field(repr=False)
@@ -320,22 +321,22 @@ class LinearSystem(ABC):
     """A linear time-varying system along one experiment."""
 
     block: int
-    """The most forcings for one call of `respond`."""
+    """Largest number of forcings in one call of `respond`."""
 
     @abstractmethod
     def respond(self, forcing: Forcing) -> FloatArray:
-        """(n, y, m): the outputs' response to each forcing, from rest."""
+        """(n, y, m): the response of the outputs to each forcing, starting from rest."""
 
     @abstractmethod
     def weigh(self, source: FloatArray) -> FloatArray:
-        """(n, x, m): what a forcing at any state weighs with in m weightings of the states.
+        """(n, x, m): how much a forcing at any state contributes to m weighted sums of the states.
 
-        The adjoint is integrated backwards. `source`, (n, x, m), may be overwritten.
+        The adjoint system is integrated backwards. `source`, (n, x, m), may be overwritten.
         """
 
 
 def linear_system(linear: Linearisation) -> LinearSystem:
-    """Make a linear system ready to be integrated, by the way that suits its size."""
+    """Prepare a linear system for integration, with the method that suits its size."""
     if linear.A.shape[1] < LARGE:
         return SmallSystem(linear)
     return LargeSystem(linear)
@@ -343,7 +344,7 @@ def linear_system(linear: Linearisation) -> LinearSystem:
 
 @final
 class SmallSystem(LinearSystem):
-    """A system of few states: the matrices of all steps at once, and loops of the core."""
+    """A system with few states: it stores the matrices of all steps, and the core runs the loop."""
 
     def __init__(self, linear: Linearisation) -> None:
         n, outputs, states = linear.C.shape
@@ -369,10 +370,10 @@ class SmallSystem(LinearSystem):
 
 @final
 class LargeSystem(LinearSystem):
-    """A system of many states: the matrices of one step at a time.
+    """A system with many states: it stores the matrices of only one step at a time.
 
-    A forcing along a state needs one column of these, so that the only product of whole matrices
-    is the one with the states.
+    A forcing along a state needs only one column of the matrices. So the only product with a full
+    matrix is the product with the states.
     """
 
     def __init__(self, linear: Linearisation) -> None:

@@ -1,1 +1,1 @@
-"""The findings of a closed loop: verdict, effects, curves, tables, a block for a config."""
+"""The findings of a search for missing effects: verdict, effects, curves, tables, config blocks."""

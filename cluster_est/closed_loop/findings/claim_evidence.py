@@ -125,7 +125,7 @@ def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:
 
 
 def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tuple[float, float]:
-    """Return how much worse the criterion is without an effect, and how often it is chosen."""
+    """Return how much worse the criterion is without an effect, and its share of resamplings."""
     with_it = [row for row in structures if effect.label in row.effects]
     without = [row for row in structures if effect.label not in row.effects]
     best = min((row.criterion for row in with_it), default=np.nan)
@@ -168,7 +168,7 @@ def doubted(
 
 
 def _at_bounds(added: Collection[str], after: Result) -> list[str]:
-    """Say which declared parameters and which coefficients of effects stand at a bound."""
+    """Say which declared parameters and which coefficients of effects are at a bound."""
     names = tuple(f"{name}." for name in added)
     at_bound = [each for each in after.estimates if each.at_bound]
     own = [_held(each) for each in at_bound if each.label.startswith(names)]
@@ -210,7 +210,7 @@ def _held(each: Estimate) -> str:
 
 
 def _not_converged(model: str, fit: Result) -> str:
-    """Say that a fit reached no solution, so that its values are not the best."""
+    """Say that a fit did not converge, so that its values are not the best ones."""
     why = str(fit.solution.ending).partition(";")[0]
     return (
         f"the last fit of {model} did not converge ({why}): the values, intervals and errors are "

@@ -136,7 +136,7 @@ class ClaimCalibration:
 
 
 REST = 0.1
-"""Squared error over squared noise, minus 1, with which the weight `clean` counts half. Benchmark:
+"""Squared error over squared noise, minus 1, at which the weight `clean` counts half. Benchmark:
 of 0.05, 0.1, 0.2 and 0.4, this value best distinguishes right claims from wrong ones."""
 LEAVES_MUCH = 1.5
 """Error over the noise above which a claim is doubtful. By definition: the most that "found" may
@@ -147,7 +147,7 @@ CLAIMED = 0.5
 """Probability below which an effect is not claimed. By definition: it is more likely wrong than
 right."""
 FEW = 40
-"""If there are fewer benchmark claims, the sentence says that they are few. By definition."""
+"""If a group has fewer benchmark claims, the sentence says that they are few. By definition."""
 
 CALIBRATION = ClaimCalibration(
     origin="306 claims in 128 cases of 26 systems, 60 of them wrong, 7 free curves, 78 leads",
@@ -223,7 +223,7 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
     if evidence.doubtful:
         alike = most = known.doubtful
         called = "equally doubtful claims"
-    # no surer than these claims allow for, however far the regression goes
+    # the regression may extrapolate, so the share of right claims is an upper limit
     probability = min(probability, most.expected)
     said = (
         f"place and kind are right with a probability of {percent(probability)}: "
@@ -245,7 +245,7 @@ def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Clai
 
 
 def _of_alike(alike: LikeClaims, called: str, right: str = "right") -> str:
-    """Say how many of the claims that are alike were right."""
+    """Say how many of a group of similar claims were right."""
     were = "was" if alike.right == 1 else "were"
     few = " (a small number)" if alike.of < FEW else ""
     return f"of {alike.of} {called} in the benchmark{few}, {alike.right} {were} {right}"

@@ -155,7 +155,7 @@ class CompetingModel:
     added: tuple[tuple[Effect, tuple[Parameter, ...]], ...] = field(repr=False, default=())
 
     def facts(self) -> dict[str, Any]:
-        """Return its entry in run.json, from which it can be made again."""
+        """Return its entry in run.json, from which the model can be restored."""
         return {
             "name": self.name,
             "criterion": self.criterion,
@@ -182,9 +182,9 @@ def leading_models(fitter: Fitter, found: SelectionResult, most: int) -> list[Fi
 
 
 def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingModel, ...]:
-    """Return what was found, and the rivals that the data do not rule out, the nearest first.
+    """Return the found model, then the rivals that the data do not rule out, the best rival first.
 
-    Their weights are probabilities as `with_probabilities` has them, among those that are kept.
+    The weights are probabilities as in `with_probabilities`, among the returned models.
     """
     price = choice_price(found)
     leading = leading_models(fitter, found, 4 * MOST_COMPETING)
@@ -201,7 +201,7 @@ def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingM
 
 
 def _competing(fit: FittedModel, criterion: float, weight: float) -> CompetingModel:
-    """A fitted model on the run's experiments; the coefficients of its effects begin as fitted."""
+    """A fitted model on the run's experiments, with fitted values as starts of its coefficients."""
     values = fit.estimates
     added = []
     for candidate in fit.added:
@@ -283,7 +283,7 @@ def with_choices(
 
 
 def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
-    """Return, for each residual, the number of the piece that is drawn and of the output."""
+    """Return the number of the resampled piece and of the output, for each residual."""
     pieces, outputs = np.zeros(fitter.size, int), np.zeros(fitter.size, int)
     for item in fitter.records.items:
         outputs[item.rows] = item.output
@@ -297,7 +297,7 @@ def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
 
 
 EXPENSIVE = 5.0
-"""Solver steps over those of the declared model, above which a structure counts as expensive."""
+"""Solver steps, relative to those of the declared model, above which a structure is expensive."""
 
 
 def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:

@@ -31,8 +31,8 @@ from workers.messages import FloatArray
 
 LARGEST_DIFFERENCE = 10.0
 """Largest difference between the predictions of an effect and of its alternative, at any sample,
-over the noise. If the difference is larger, the data distinguish the two, whatever the
-criterion."""
+divided by the noise. If it is larger, the data distinguish the two effects, whatever their
+criteria."""
 
 WINDOWS = 20
 """Number of parts of a record, to say in which part most of its residual is."""
@@ -116,7 +116,7 @@ def error_changes(
 
 
 def _over(error: float, sigma: float) -> float:
-    """Return an error over the noise; NaN if the noise is unknown or 0."""
+    """Return an error divided by the noise; NaN if the noise is unknown or 0."""
     return error / sigma if sigma > 0.0 else np.nan
 
 
@@ -213,7 +213,7 @@ def _alternatives(
     rivals: Sequence[RefittedCandidate],
     namer: Namer,
 ) -> tuple[AlternativeEffect, ...]:
-    """Return the rivals that the data do not exclude: their predictions hardly differ anywhere.
+    """Return the rivals that the data do not exclude: their predictions are similar everywhere.
 
     Other effects of the same structure are not rivals.
     """
@@ -251,7 +251,7 @@ def _largest_difference(
 ) -> tuple[str, float, str, float]:
     """Experiment, time, output and size of the largest difference of two models' predictions.
 
-    The size is over the noise of that output.
+    The size is divided by the noise of that output.
     """
     gap = np.abs(one.residuals - other.residuals)
     for record in fitter.records.items:
@@ -266,7 +266,7 @@ def _largest_difference(
 def _columns(
     fitter: Fitter, found: SelectionResult, candidate: EffectCandidate, period: float
 ) -> tuple[str, ...]:
-    """Sentences on columns that are not used and may be what a wave in time stands for."""
+    """Sentences on unused columns that may be the true cause of a wave in time."""
     if not np.isfinite(period):
         return ()
     without = residuals_without(found.current, candidate)
@@ -277,7 +277,7 @@ def _columns(
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float) -> tuple[str, ...]:
-    """Sentences on why it was added, and on what it assumes."""
+    """Sentences on the reasons for an effect, and on its assumptions."""
     sentences = []
     if np.isfinite(period):
         sentences.append(
@@ -312,7 +312,7 @@ def sentence_of(
 ) -> str:
     """Describe an effect that was found, in one or two sentences."""
     said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
-    told = [e for e in coefficients if e.estimated_on != "known"]  # a width may have been held
+    told = [e for e in coefficients if e.estimated_on != "known"]  # for example a held width
     values = [_value(candidate, e) for e in told if e.label == e.parameter]
     values += [
         f"a value of {c.name} for each experiment" for c in candidate.form.coefficients if c.each
@@ -340,7 +340,7 @@ REFERENCES = {
     "drift": "t", "linear": "{v}", "inverse": "{v}", "exponential": "{v}", "power": "abs({v})",
     "magnitude": "abs({v})", "square": "{v}^2", "inverse_square": "{v}^2", "heating": "z",
 }  # fmt: skip
-"""For forms that leave a parameter unchanged at one value of their argument: this argument."""
+"""By form that leaves a parameter unchanged at one value of its argument: this argument."""
 
 
 def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> str:

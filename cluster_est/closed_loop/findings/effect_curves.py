@@ -51,7 +51,7 @@ def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[
 
     curves = effect_shapes(result, fitter.description, visited)
     sites = {c.effect.name: c.site for c in fitted.added}
-    # free values follow from the linear systems, which a filter that corrects the states changes
+    # free values are computed by the linear systems, which a Kalman filter would change
     residuals = None if fitter.predicts else fitted.residuals
     return tuple(_shown(each, sites.get(each.effect), trajectories, residuals) for each in curves)
 
@@ -87,14 +87,14 @@ def _shown(
 
 
 def _integral_of(name: str, trajectories: Sequence[LinearisedTrajectory]) -> str:
-    """Return the state whose integral a variable is; for a difference, that of both."""
+    """Return the state whose integral a variable is; for a difference, the difference of states."""
     speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
     parts = [speeds[x] for x in split_variable(name, speeds)]
     return difference(*parts) if len(parts) > 1 else "".join(parts)
 
 
 PLACES = 12
-"""Number of points of a free function; the eye does not distinguish more."""
+"""Number of points of a free function; more points would not be visible in a plot."""
 
 DETERMINED = 1e-8
 """Least squared length of a point's sensitivity, as a share of the largest one."""
@@ -154,7 +154,7 @@ CLEARLY_DIFFERENT = 0.25
 """A measurement distinguishes two equations where they differ by at least this share."""
 
 BEYOND = 1.5
-"""Range in which such a difference is looked for, over the largest absolute value in the data."""
+"""Range of the search for such a difference, relative to the largest absolute value in the data."""
 
 MOST_AGREEING = 3
 """Largest number of equations that are named in addition to the one that was found."""
@@ -184,17 +184,17 @@ def agreements(
 ) -> tuple[AgreeingEquation, ...]:
     """Return equations that agree with a found effect wherever the data were; the closest first.
 
-    Each is fitted to the curve of the effect over the samples. It agrees if what is left is smaller
-    than the effect's own standard error, both as root mean squares over the samples, and nowhere
-    more than a tenth of the effect's largest size. Laws that differ from it nowhere are the same
-    equation written in another way, and are not named.
+    Each law is fitted to the curve of the effect over the samples. It agrees if the difference is
+    smaller than the effect's own standard error, both as root mean squares over the samples, and
+    never above a tenth of the effect's largest size. A law that differs clearly nowhere, even
+    outside the data, is the same equation written in another way, and is not named.
 
     Parameters
     ----------
     shape
         The same curve as a function, also outside the range of the data.
     own, named
-        The law of the effect, and what physics calls another one at its place.
+        The law of the effect, and a function that returns the physical name of another law there.
     """
     visited = curve.counts > 0.0
     x, weights = 0.5 * (curve.edges[1:] + curve.edges[:-1])[visited], curve.counts[visited]
@@ -223,7 +223,7 @@ def agreements(
 
 
 def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> float:
-    """Of the effect, as a root mean square over the samples; 0 where the band is not known."""
+    """Root mean square of the effect's standard error over the samples; 0 if it is not known."""
     half = 0.5 * (curve.upper - curve.lower) / BAND_QUANTILE
     if not np.isfinite(half).all():
         return 0.0
@@ -234,7 +234,7 @@ def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> f
 def _told_apart(
     curve: EffectCurve, one: Shape, other: Shape, strength: float, size: float, *, negative: bool
 ) -> tuple[float, float] | None:
-    """The value nearest to the data at which two laws clearly differ, and by how much."""
+    """Return the value nearest to the data at which two laws clearly differ, and the difference."""
     low, high = float(curve.edges[0]), float(curve.edges[-1])
     far = BEYOND * max(abs(low), abs(high))
     x = np.linspace(-far if negative else 0.0, far, 1201)

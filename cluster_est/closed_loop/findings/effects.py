@@ -94,7 +94,7 @@ class NamedEffect:
     effect
         The effect, as a config would declare it.
     family, equation
-        Such as "friction" and "der(v) += -k * tanh(v / width)".
+        For example "friction" and "der(v) += -k * tanh(v / width)".
     coefficients
         Its estimated numbers, with intervals and units.
     alternatives
@@ -109,9 +109,9 @@ class NamedEffect:
     period
         Period in seconds of a sinusoid in time; NaN for other effects.
     label
-        As structures name it: "coulomb at der(v)".
+        The name of the effect in structures, such as "coulomb at der(v)".
     claim
-        How sure it is that it is right; None where that was not asked.
+        How sure it is that the effect is right; None if this was not computed.
     """
 
     effect: Effect
@@ -133,7 +133,7 @@ class NamedEffect:
 
     @property
     def claimed(self) -> bool:
-        """Return whether it is more likely right than wrong; else it is a lead that fits."""
+        """Return whether the effect is more likely right than wrong; otherwise it is a lead."""
         return self.claim is None or self.claim.claimed
 
     @property
@@ -177,12 +177,12 @@ class NoiseChange:
 
     @property
     def coloured(self) -> bool:
-        """It is an Ornstein-Uhlenbeck process."""
+        """Whether the noise is an Ornstein-Uhlenbeck process."""
         return bool(np.isfinite(self.time_before))
 
     @property
     def variance_left(self) -> float:
-        """Variance of the noise with the effects, over that without them."""
+        """Variance of the noise with the effects, divided by the variance without them."""
         return (self.after / self.before) ** 2 if self.before > 0.0 else np.nan
 
 
@@ -206,7 +206,7 @@ class ErrorChange:
 
     @property
     def unchanged(self) -> ErrorChange:
-        """The same with the error before as the error after: nothing was added."""
+        """The same errors before and after, because nothing was added."""
         before, normalised = self.rmse_before, self.normalised_before
         return replace(self, rmse_after=before, normalised_after=normalised)
 
@@ -214,7 +214,7 @@ class ErrorChange:
     def between(
         cls, before: OutputError, after: OutputError, normalised: tuple[float, float]
     ) -> Self:
-        """Put the errors of two fits side by side; `normalised` are those over sigma."""
+        """Combine the errors of two fits; `normalised` are the errors divided by sigma."""
         return cls(
             experiment=before.experiment,
             role=before.role,
@@ -270,7 +270,7 @@ def not_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
 
 
 def no_longer_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
-    """Return those experiments that can be simulated without the effects, but not with them."""
+    """Return the experiments that can be simulated without the effects, but not with them."""
     return not_simulated([e for e in errors if np.isfinite(e.rmse_before)])
 
 
@@ -302,7 +302,7 @@ def comparable(errors: Sequence[ErrorChange]) -> tuple[ErrorChange, ...]:
 
 
 def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:
-    """Return the largest error after over the noise, among the outputs; NaN if there is none."""
+    """Return the largest error of an output with the effects, over its noise; NaN without any."""
     outputs = dict.fromkeys(e.output for e in errors if e.role == role)
     own = [
         pooled_error([e for e in errors if e.output == output], role, after=True)

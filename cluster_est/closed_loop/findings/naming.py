@@ -54,7 +54,7 @@ MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
 class EffectName:
     """The name of an effect, and the facts from which it was derived.
 
-    Such as "viscous friction", or "a term quadratic in v" if the units do not determine a name.
+    For example "viscous friction", or "a term quadratic in v" if the units do not determine a name.
     """
 
     words: str
@@ -109,7 +109,7 @@ class Namer:
         known = self.units.of(variable)
         if known is None or is_difference(variable):
             return True
-        if known == TEMPERATURE:  # an absolute one
+        if known == TEMPERATURE:  # an absolute temperature
             return False
         amounts = (MASS, AMOUNT, VOLUME, CONCENTRATION, DENSITY)
         return not known.same_as(*amounts, *((LENGTH,) if self._level else ()))
@@ -183,7 +183,7 @@ def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: 
     if site.kind == "pair":
         spill = law is Law.ABOVE and variables[0] == site.target
         return spill or variables[0] == own_variable(site)
-    over = difference(site.target, "")  # what is around it
+    over = difference(site.target, "")  # differences between the state and its surroundings
     return site.kind == "derivative" and (
         variables[0] == site.target or variables[0].startswith(over)
     )
@@ -193,7 +193,7 @@ def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool
     """Return whether the variable is the integral of the quantity that the effect changes."""
     if curve is None or not curve.integral_of:
         return False
-    if candidate.site.kind == "input":  # the search tried only what the input pushes
+    if candidate.site.kind == "input":  # the search tried only states that the input acts on
         return candidate.form.law is Law.PERIODIC
     return candidate.site.at_rates and curve.integral_of == own_variable(candidate.site)
 
@@ -207,7 +207,7 @@ def _direction(
     threshold, the distance from the threshold is used instead of the variable.
     """
     if curve is None and law is Law.SWITCH_BY_MAGNITUDE:
-        return -1  # its strength is bounded so that it takes energy out
+        return -1  # the bounds of its strength make it remove energy
     if curve is not None:
         x, y = curve.x, curve.y
         if candidate.site.kind == "parameter" and len(values):
@@ -216,7 +216,7 @@ def _direction(
         x = np.array([-2.0, -1.0, 1.0, 2.0])
         found = _around_zero(candidate, values)
         y = np.array([found(each) for each in x]) if found is not None else np.zeros(len(x))
-    of_sign = (Law.SWITCH_BY_MAGNITUDE, Law.SWITCH_BY_CURVE)  # their curves are for one direction
+    of_sign = (Law.SWITCH_BY_MAGNITUDE, Law.SWITCH_BY_CURVE)  # their curves hold for one direction
     work = {Law.ABOVE: y, Law.BELOW: -y, **dict.fromkeys(of_sign, y)}.get(law, x * y)
     if not np.isfinite(work).all() or not work.any():
         return 0
@@ -295,7 +295,7 @@ class PlacedLaw:
 
     @property
     def feeds_energy(self) -> bool:
-        """The effect pushes a body in its direction of motion."""
+        """Whether the effect pushes a body in its direction of motion."""
         speed = _pushes(self) if self.site is not None and self.argument is not None else None
         along = speed is not None and self.argument is not None and self.argument.same_as(speed)
         return along and self.own and self.gain

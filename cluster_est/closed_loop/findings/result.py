@@ -157,7 +157,7 @@ class LoopResult(ResultView):
 
     @property
     def success(self) -> bool:
-        """The last fit reached a solution; `verdict` says what was found."""
+        """Whether the last fit converged; `verdict` says what was found."""
         return self.after.success
 
     @property
@@ -273,7 +273,7 @@ KEPT_OF_BEFORE = ("value", "std_error", "lower95", "upper95")
 
 
 def _parameter_table(before: Sequence[Estimate], after: Sequence[Estimate]) -> pa.Table:
-    """Make a row for each estimate of the final model, with that before (NaN if it is new)."""
+    """Make a row for each final estimate, with the estimate before (NaN if it is new)."""
     old = {e.label: e for e in before}
     rows = []
     for estimate in after:
@@ -315,7 +315,7 @@ ARROW_TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.s
 
 
 def _row_table(row: type, rows: Sequence[CandidateEvidence | ComparedStructure]) -> pa.Table:
-    """Make a table of rows with a column for each of their fields, also where there are none."""
+    """Make a table with a column for each field of a row type, even if there are no rows."""
     hints = get_type_hints(row)
     schema = pa.schema([(f.name, _column(hints[f.name])) for f in dataclasses.fields(row)])
     return pa.Table.from_pylist([vars(each) for each in rows], schema=schema)

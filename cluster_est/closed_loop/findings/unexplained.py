@@ -40,7 +40,7 @@ class UnexplainedResidual:
     size
         Root mean square in that unit, without the noise.
     over_noise
-        The same, divided by the standard deviation of the noise; NaN if there is no noise.
+        `size` divided by the standard deviation of the noise; NaN if there is no noise.
     shortest_period
         Nine tenths of its power have periods above this value, in seconds; NaN if the records are
         too short.
@@ -88,7 +88,7 @@ def unexplained_residuals(
         if not square > level**2:
             continue
         beyond = float(np.sqrt(square - level**2))
-        # in units of the output, whose sigma each experiment may have for itself
+        # in the unit of the output; sigma may differ between experiments
         size = float(np.sqrt(np.mean((part * sigmas[rows]) ** 2) * (1.0 - level**2 / square)))
         variable = fitter.description.variables.get(name)
         shortest, period = _periods(fitted.residuals, own, level)
@@ -110,7 +110,7 @@ def _periods(
 ) -> tuple[float, float]:
     """Return the shortest period of most of the power, and the period of a single peak, or NaN.
 
-    The power is that of Welch's method, doi:10.1109/TAU.1967.1161901, less that of white noise.
+    The power is computed by Welch's method, doi:10.1109/TAU.1967.1161901, minus white noise.
     """
     long = [item for item in records if len(item.times) >= SHORTEST_SPECTRUM]
     if not long:
@@ -140,7 +140,7 @@ def _periods(
     ]
     peak = int(np.argmax(shares))
     around = shares[max(peak - 1, 0) : peak + 2].sum()
-    narrow = peak >= 3 and around >= NARROW  # three periods in a record, or it is no period
+    narrow = peak >= 3 and around >= NARROW  # at least three periods in a record
     return (
         float(1.0 / fast) if fast > 0.0 else np.nan,
         float(1.0 / frequencies[peak]) if narrow else np.nan,
@@ -256,7 +256,7 @@ def varying_columns(
 
 @dataclass(frozen=True)
 class _Pair:
-    """Residual and column of a record at evenly spaced times, and the inputs there."""
+    """Residual, column and inputs of a record at evenly spaced times."""
 
     residual: FloatArray
     column: FloatArray
@@ -284,7 +284,7 @@ def _pairs(
     output: int,
     name: str,
 ) -> list[_Pair]:
-    """Return residual and column of each record of an output, at evenly spaced times.
+    """Return the residual and the column in each record of an output, at evenly spaced times.
 
     Empty if the column is missing in one of the records, or is a copy of a used signal.
     """
@@ -316,7 +316,7 @@ def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:
 
 
 def _has_period(pairs: Sequence[_Pair], period: float) -> bool:
-    """Return whether most of a column is a wave of this period, in every record."""
+    """Return whether most of a column is an oscillation with this period, in every record."""
     long = [pair for pair in pairs if np.ptp(pair.times) >= SWINGS * period]
     shares = [periodic_share(pair.column, pair.times, period) for pair in long]
     return bool(long) and min(shares) >= PERIODIC

@@ -112,13 +112,13 @@ class _Residual:
 
     @property
     def within_sigma(self) -> bool:
-        """The residual is coloured, and within declared sigmas that the data do not contradict."""
+        """Whether the residual is coloured, and below sigmas that the data do not contradict."""
         within = all(o.believed and o.within and not o.filtered for o in self.outputs)
         return within and any(o.coloured for o in self.outputs)
 
     @property
     def missing(self) -> str:
-        """Say that the model lacks something, or that filtered noise would look the same."""
+        """Say that the model lacks something, or that the noise may have been filtered."""
         if all(o.believed and o.no_larger and not o.filtered for o in self.outputs):
             smooth = [o.output for o in self.outputs if o.drifts]
             if smooth:
@@ -165,7 +165,7 @@ def judge(fitter: Fitter, found: SelectionResult) -> ReasonedVerdict:
 def _judged(
     fitter: Fitter, found: SelectionResult, base: _Residual, now: _Residual
 ) -> ReasonedVerdict:
-    """Judge what a search has added, or that it has added nothing."""
+    """Judge the effects that a search has added, if any."""
     if not found.current.added:
         return _nothing_added(found, now)
     training, predicted = _closed(fitter, found, now)
@@ -179,12 +179,12 @@ def _judged(
         )
     tables = any(c.form.free for c in found.current.added)
     dynamics = any(c.form.is_dynamics for c in found.current.added)
-    # a curve that is at the right place leaves nothing: it needs no right name
+    # a curve can take any shape, so at the right place it must leave little
     most = VERDICT.most_by_curve if tables else VERDICT.most
     if base.structured and base.within_sigma:
         reason = f"{_autocorrelated(base)}: no effect is needed"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
-    # what predicts other records worse is not found, however well it follows those it was fitted to
+    # effects that predict other records worse are not "found", however good the fit is
     quiet = not now.structured and predicted >= 0.0
     if quiet or closed > 1.0 - VERDICT.negligible:
         if tables:
@@ -311,7 +311,7 @@ def _autocorrelated(residual: _Residual) -> str:
     named = f" of {worst.output}" if len(residual.outputs) > 1 else ""
     if worst.believed:
         size = f"{worst.level:.3g} times the declared sigma"
-    else:  # which is no measure of it; `is_noise_of_sensors` compares with the white part too
+    else:  # sigma is no measure then; `is_noise_of_sensors` also compares with the white part
         size = f"{worst.level / worst.white:.3g} times the white-noise component"
     doubted = [o.output for o in residual.outputs if not o.believed]
     if doubted:
@@ -329,7 +329,7 @@ def _autocorrelated(residual: _Residual) -> str:
 def _residual(
     fitter: Fitter, found: SelectionResult, fitted: FittedModel, at: SelectionRound
 ) -> _Residual:
-    """Return the residual of a model, with the screening of the round that began with it."""
+    """Return the residual of a model, with the screening of the round that started from it."""
     outputs = residual_noise(fitter, fitted, found.noise)
     excess = _excess(fitter, fitted, found.noise)
     screening = at.screening
@@ -344,7 +344,7 @@ def _residual(
 
 
 def _excess(fitter: Fitter, fitted: FittedModel, noise: FloatArray) -> float:
-    """Return squared residual over squared noise, minus 1: all outputs, or the worst one."""
+    """Return squared residual over squared noise, minus 1: of all outputs, or of the worst one."""
     parts = fitter.records.by_output(fitted.residuals)
     alone = [
         float(np.mean(part**2) / level**2)
@@ -362,7 +362,7 @@ def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[flo
     floor = fitter.noise_floor(believed_noise(fitter, now.outputs, found.noise))
     base, last = found.base.sse, found.current.sse
     gap = base - min(floor, last)
-    training = (base - last) / gap if gap > 0.0 else 0.0  # of any unit, however small its squares
+    training = (base - last) / gap if gap > 0.0 else 0.0  # the squares may be tiny in some units
     predicted = found.prediction.closes(found.base_prediction, floor, VERDICT.negligible)
     return float(training), float(predicted)
 
@@ -434,7 +434,7 @@ def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopS
         return f"with the effects, experiment {', '.join(lost)} can no longer be simulated"
     both = comparable(errors)
     old, new = (pooled_error(both, "test", after=after) for after in (False, True))
-    if new > old and not judged.filtered:  # there likelihoods have been compared
+    if new > old and not judged.filtered:  # with a filter, likelihoods were compared instead
         return f"the held-out error would grow from {old:.4g} to {new:.4g} times {judged.over}"
     floor = judged.floor
     closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan

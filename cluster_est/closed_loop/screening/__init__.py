@@ -1,1 +1,1 @@
-"""Every candidate compared with the residual to first order, without a fit."""
+"""Compares every candidate with the residual to first order, without a fit."""

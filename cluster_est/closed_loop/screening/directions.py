@@ -1,13 +1,13 @@
-"""Directions in which candidates would move the residuals, were they switched on a little.
+"""Directions of candidates: how the residuals change if a candidate is switched on slightly.
 
-In model exchange one linear time-varying system along each experiment answers for all candidates:
+In model exchange, one linear time-varying system along each experiment serves all candidates:
 
     d(dx)/dt = A dx + B du + P dp + f,    dy = C dx + D du + Q dp
 
-with what a candidate adds as f (state derivative), du (input) or dp (parameter). An effect at an
-output adds to y and needs nothing else. In co-simulation the states are hidden, and with process
-noise a Kalman filter corrects them: what a candidate changes in one prediction is in part gone in
-the next. There each candidate is simulated (`probe`).
+A candidate acts as f (at a state derivative), du (at an input) or dp (at a parameter). An effect at
+an output is added to y and needs no system. In co-simulation the states are not accessible. With
+process noise, a Kalman filter corrects the states, so that part of the change by a candidate is
+lost at the next prediction. In both cases each candidate is simulated (`probe`).
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray, Linearisation
 
 PROBE_AMOUNT = 0.01
-"""Share of the signal that it changes by which a candidate is switched on in co-simulation. Signal:
-large beside a solver's error, small beside the signal."""
+"""Strength of a candidate in a probe, as a share of the signal that it changes. Signal: large
+compared with a solver's error, small compared with the signal."""
 
 
 Told = Callable[[int, int], None]
-"""Hears how many candidates are done, and of how many."""
+"""Receives the number of candidates that are done, and their total number."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class CandidatePoint:
 
     @property
     def columns(self) -> int:
-        """Number of its signals: one for each strength, or one finite change."""
+        """Number of its signals: one per strength, or one for a finite change."""
         return max(1, len(self.candidate.strengths))
 
     @property
     def width(self) -> int:
-        """Number of columns of its direction: of some strengths one an experiment."""
+        """Number of columns of its direction; a strength may have one for each experiment."""
         return max(1, sum(self.candidate.counts(self.candidate.own_strengths)))
 
 
@@ -69,16 +69,16 @@ def directions(
     rows: IntArray | None = None,
     told: Told = lambda *_: None,
 ) -> list[FloatArray]:
-    """The directions of trials, each (residuals, width), from the linearised trajectories alone.
+    """Compute the directions of trials, each (residuals, width), from linearised trajectories.
 
     Parameters
     ----------
     trials
-        At any sites in model exchange, at outputs in co-simulation.
+        In model exchange, trials at any site; in co-simulation, only trials at outputs.
     known : (parameters,) for each trajectory
-        Values of the model's parameters there.
+        Values of the model's parameters in each trajectory.
     rows
-        The residuals that are kept, ascending; None for all of them.
+        Indices of the residuals that are kept, ascending; None for all residuals.
     """
     if not trials:
         return []
@@ -99,9 +99,9 @@ def directions(
 
 
 def by_experiment(trial: CandidatePoint, columns: FloatArray, whose: IntArray) -> FloatArray:
-    """(residuals, width): give strengths that have a value an experiment a column for each.
+    """(residuals, width): split columns of strengths that have one value per experiment.
 
-    `whose` are the experiments of the residuals.
+    `whose` is the index of the experiment of each residual.
     """
     own = trial.candidate.own_strengths
     if not any(c.each for c in own):
@@ -116,7 +116,7 @@ def _hear(told: Told, before: int, of: int, done: int) -> None:
 
 
 def _within(rows: IntArray | None, start: int, stop: int) -> IntArray | slice:
-    """The rows between two, counted from the first of these."""
+    """The rows in this range, counted from its start."""
     if rows is None:
         return slice(None)
     first, last = np.searchsorted(rows, [start, stop]).tolist()
@@ -175,7 +175,7 @@ def _of_block(
 def residual_change(
     trajectory: LinearisedTrajectory, site: EffectSite, added: FloatArray
 ) -> FloatArray:
-    """(k, m): how the residuals of an experiment change with what is added at a site, (n, m)."""
+    """(k, m): change of the residuals of an experiment by (n, m) terms that are added at a site."""
     changes = _Changes(trajectory, added.shape[1])
     if changes.sees(site):
         changes.add(site, np.arange(added.shape[1]), added)
@@ -184,7 +184,7 @@ def residual_change(
 
 
 class _Changes:
-    """Columns of changes along one experiment: of its outputs at once, and of its states."""
+    """Changes along one experiment, one column each: of outputs directly, and through states."""
 
     def __init__(self, trajectory: LinearisedTrajectory, count: int) -> None:
         self._trajectory = trajectory
@@ -195,11 +195,11 @@ class _Changes:
         self._directions: dict[str, int | FloatArray] = {}
 
     def sees(self, site: EffectSite) -> bool:
-        """Return whether the experiment measures what is changed, if that is an output."""
+        """Return whether the experiment measures the site, if the site is an output."""
         return site.kind != "output" or site.target in self._trajectory.names
 
     def add(self, site: EffectSite, columns: IntArray, added: FloatArray) -> None:
-        """Add at a site; at a pair each column acts on one of the states."""
+        """Add terms at a site; at a pair, each column acts on one of the two states."""
         if site.kind == "output":
             self._outputs[:, self._trajectory.names.index(site.target), columns] += added
         elif site.kind == "derivative":
@@ -213,7 +213,7 @@ class _Changes:
             self._outputs[:, :, columns] += through[:, :, None] * added[:, None, :]
 
     def force(self, state: str, columns: IntArray, amounts: FloatArray) -> None:
-        """Add to the derivative of a state."""
+        """Add terms to the derivative of a state."""
         self._along(state, self._linear(state).state_names.index(state), columns, amounts)
 
     def of_residuals(self, system: LinearSystem | None) -> FloatArray:
@@ -222,14 +222,14 @@ class _Changes:
             which = np.array(self._which, int)
             forcing = Forcing(np.hstack(self._amounts), list(self._directions.values()), which)
             responses = system.respond(forcing)
-            for i, column in enumerate(self._columns):  # one may act on two states
+            for i, column in enumerate(self._columns):  # a column may act on two states
                 self._outputs[:, :, column] += responses[:, :, i]
         return self._trajectory.residual_change(self._outputs)
 
     def _along(
         self, name: str, direction: int | FloatArray, columns: IntArray, amounts: FloatArray
     ) -> None:
-        """Force along a direction; whatever has the same name is the same direction."""
+        """Add a forcing along a direction; directions with the same name are the same."""
         self._directions.setdefault(name, direction)
         self._which += [list(self._directions).index(name)] * len(columns)
         self._columns += columns.tolist()
@@ -244,7 +244,7 @@ class _Changes:
 def added_at(
     trajectory: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray
 ) -> FloatArray:
-    """(n, columns): what the effect adds at its site; relative at a parameter in co-simulation."""
+    """(n, columns): what an effect adds; at a parameter in co-simulation, relative to its value."""
     arguments, values = _arguments(trajectory, trial, known)
     return shape_of(trial.candidate.form).directions(arguments, values)
 
@@ -252,7 +252,7 @@ def added_at(
 def _arguments(
     trajectory: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray
 ) -> tuple[FormArguments, dict[str, float]]:
-    """The signals and the coefficients that an effect is a function of."""
+    """The signals and the coefficients on which an effect depends."""
     candidate = trial.candidate
     site, zero = candidate.site, np.zeros(len(trajectory.times))
     v, w = [*(trajectory.signal(name) for name in candidate.effect.variables), zero, zero][:2]
@@ -269,7 +269,7 @@ def _arguments(
 
 
 def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, FloatArray]:
-    """(n, x) and (n, y): how an input or a parameter acts on the states and on the outputs."""
+    """(n, x) and (n, y): the columns of B and D of an input, or of P and Q of a parameter."""
     if site.kind == "input":
         j = linear.input_names.index(site.target)
         return linear.B[:, :, j], linear.D[:, :, j]
@@ -283,10 +283,10 @@ def probe(
     trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
 ) -> list[FloatArray]:
-    """The direction of each trial, (residuals, width), all in one queue.
+    """Simulate the direction of each trial, (residuals, width), all in one queue.
 
-    A strength is switched on by a little, and the change of the residuals divided by how much; an
-    effect that can only be switched on by a finite amount is, by its whole amount.
+    A strength is set to a small value, and the change of the residuals is divided by this value. An
+    effect that can only be switched on by a finite amount is set to its full amount, undivided.
     """
     asked, amounts = [], []
     for trial in trials:
@@ -313,7 +313,7 @@ def probe(
 def _switched(
     trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]
 ) -> tuple[list[FloatArray], list[float]]:
-    """Coefficients for each column, and what its change is to be divided by."""
+    """Coefficients for each column, and the number by which the change of residuals is divided."""
     names = [c.name for c in trial.candidate.form.coefficients]
     strengths = [i for i, name in enumerate(names) if name in trial.candidate.strengths]
     if not strengths:
@@ -326,7 +326,7 @@ def _switched(
 
 
 def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -> float:
-    """The strength that changes its signal by as much as the signal itself."""
+    """The strength at which the effect changes its signal by the rms of the signal itself."""
     candidate = trial.candidate
     added = np.concatenate(
         [added_at(trajectory, trial, _ones(trajectory)) for trajectory in trajectories]
@@ -339,12 +339,12 @@ def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -
 
 
 def _ones(trajectory: LinearisedTrajectory) -> FloatArray:
-    """Values of the parameters, each over its own."""
+    """Relative values of the parameters, all 1."""
     return np.ones(0 if trajectory.linear is None else len(trajectory.linear.parameter_names))
 
 
 def _changed(trajectories: Sequence[LinearisedTrajectory], site: EffectSite) -> FloatArray:
-    """The signal that an effect at a site changes, a derivative among them."""
+    """The signal that an effect at a site changes; it may be a state derivative."""
     if not site.at_rates:
         return pooled(trajectories, site.target)
     linear = [trajectory.linear for trajectory in trajectories if trajectory.linear is not None]
@@ -356,7 +356,7 @@ def _changed(trajectories: Sequence[LinearisedTrajectory], site: EffectSite) -> 
 def _point(
     fitted: FittedModel, unknowns: Sequence[Unknown], trial: CandidatePoint, row: FloatArray
 ) -> FloatArray:
-    """The fit's point with the effect's coefficients behind it."""
+    """The point of the fit, followed by the coefficients of the effect."""
     names = [c.name for c in trial.candidate.form.coefficients]
     own = [
         u.to_search(float(row[names.index(u.parameter.name.rpartition(".")[2])]))

@@ -1,13 +1,13 @@
-"""Places before forms: sites with an argument, ranked by what a free curve there would explain.
+"""Ranking of places, each a site with an argument, by what a free curve there would explain.
 
-Where there are too many candidates to compare each with the residual, those at the leading places
-are. The curve is piecewise linear in the argument, and beside it stand filters of the argument,
-some lags and an oscillation, for what remembers: a hidden store at a place is little of a function
-there, and would be looked for where one happens to follow it. All experiments share one set of
-coefficients. With D their directions outside the declared parameters, and r the residual, it
-explains b'(D'D)^-1 b, b = D'r. The adjoint gives b at all places from one integration: for a
-weighting w of the residuals w'(D f) = (D'w)'f, and D'w follows at every site at once by integrating
-backwards. D'D follows from some random weightings z more: E[D'z z'D] = D'D (M. F. Hutchinson,
+With too many candidates to compare each with the residual, only those at the leading places are
+compared. The curve is piecewise linear in the argument. With it come filters of the argument, some
+lags and an oscillation, for effects with memory: a hidden store is hardly a function of its own
+argument, and would be sought at another place whose argument it happens to follow. All experiments
+share one set of coefficients. With D their directions outside the declared parameters, and r the
+residual, a curve explains b'(D'D)^-1 b, b = D'r. One integration of the adjoint gives b at all
+places: for a weighting w of the residuals, w'(D f) = (D'w)'f, and integrating backwards gives D'w
+at every site at once. Random weightings z give D'D: E[D'z z'D] = D'D (M. F. Hutchinson,
 Commun. Stat. Simul. Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
 """
 
@@ -38,14 +38,15 @@ from workers.messages import FloatArray, Linearisation
 
 @dataclass(frozen=True)
 class PlaceThresholds:
-    """Thresholds of the ranking of places, where there are too many candidates to look at each.
+    """Thresholds of the ranking of places, for models with too many candidates to try each.
 
     Attributes
     ----------
     most_candidates
-        Candidates above which only those at leading places are looked at. Memory: see `most_rows`.
+        Number of candidates above which only those at leading places are tried. Memory: see
+        `most_rows`.
     leading
-        Places that are looked at. Benchmark.
+        Number of leading places that are tried. Benchmark.
     """
 
     most_candidates: int = 1500
@@ -55,27 +56,26 @@ class PlaceThresholds:
 LEADING_PLACES = PlaceThresholds()
 
 HATS = 9
-"""Coefficients of the curve that stands for every form without a memory."""
+"""Number of coefficients of the curve that stands for every form without memory."""
 LAGS = 4
-"""Time constants of filters, at equal ratios: what lies between two is a mixture of them."""
+"""Number of time constants of the lags, at equal ratios; a mixture of two covers those between."""
 SHORTEST_LAG, LONGEST_LAG = 3.0, 1.0 / 3.0
-"""The shortest of them, in steps, and the longest, of the longest record. Signal: a faster one is a
-gain of the argument, a slower one its integral."""
+"""Shortest time constant, in steps, and longest, as a share of the longest record. Signal: a faster
+lag is a gain of the argument, and a slower lag is its integral."""
 RINGING = 0.1
-"""Damping of the oscillation, which is at the first peak of the residual's spectrum. Signal: much
-less rings for all of a record, much more is a lag."""
+"""Damping ratio of the oscillation, whose frequency is the first peak of the residual's spectrum.
+Signal: with much less damping it rings for a whole record, with much more it is a lag."""
 WEIGHTINGS = 160
-"""Random weightings that estimate the size of a direction: the relative error of its square is the
-root of 2 over their number. Benchmark: with 96, one in ten of the stores hidden in a rod of twelve
-nodes is not among the leading places, with 160 none."""
+"""Number of random weightings that estimate the size of a direction. The relative error of its
+square is sqrt(2 / number). Benchmark: with 96, one in ten of the stores hidden in a
+rod of twelve nodes is not among the leading places; with 160, none is missed."""
 COLUMN_PENALTY = 8.0
-"""Rise of the statistic that each further column of a candidate, or coefficient of a curve, must
-bring to be ranked as high. Benchmark; its mean is 1 where the column means nothing (theory:
-chi-squared)."""
+"""Increase of the statistic that each additional column of a candidate, or coefficient of a curve,
+must bring. Benchmark. Theory: for a column without meaning, its mean is 1 (chi-squared)."""
 
 
 DEPENDENT = 1e-6
-"""Smallest eigenvalue of D'D, over the largest, of a direction that counts: knots may coincide."""
+"""Smallest eigenvalue of D'D that counts, relative to the largest; knots may coincide."""
 
 
 def rank_places(
@@ -85,12 +85,12 @@ def rank_places(
     frequencies: Sequence[float],
     generator: np.random.Generator,
 ) -> list[CandidatePlace]:
-    """Order places by what a free curve there would explain of the residual, the most first.
+    """Sort places by how much of the residual a free curve there would explain, largest first.
 
     Parameters
     ----------
     frequencies
-        Angular frequencies of the waves among what depends on time alone.
+        Angular frequencies of the waves in functions of time alone.
     """
     if not places:
         return []
@@ -121,10 +121,10 @@ def rank_places(
 
 @dataclass(frozen=True)
 class FreeCurve:
-    """A function of one argument: piecewise linear, or where that is time, a sum of waves.
+    """A function of one argument, with filters: piecewise linear, or for time a sum of waves.
 
-    These have angular frequencies, and come beside a constant and a drift. Filters of the argument
-    come beside the function. Coefficients that are not needed have columns of zeros.
+    The waves have the given angular frequencies, and a constant and a drift are added to them.
+    For other arguments, filters are added. Unused coefficients have columns of zeros.
     """
 
     name: str
@@ -140,13 +140,13 @@ class FreeCurve:
         waves: tuple[float, ...],
         filters: tuple[FreeFilter, ...],
     ) -> Self:
-        """Over all values of an argument."""
+        """Make the curve for all values of an argument."""
         if name == TIME:
             return cls(name, np.zeros(0), waves, filters)
         return cls(name, knots_over(pooled(trajectories, name), HATS), (), filters)
 
     def columns(self, trajectory: LinearisedTrajectory) -> FloatArray:
-        """(n, coefficients): the function with each of them at 1 and all others at 0."""
+        """(n, coefficients): the function with one coefficient at 1 and all others at 0."""
         filtered = sum(each.width for each in self.filters)
         found = np.zeros((len(trajectory.times), HATS + filtered))
         if self.name == TIME:
@@ -163,18 +163,18 @@ class FreeCurve:
 
 @dataclass(frozen=True)
 class FreeFilter:
-    """A filter of a signal by a form of the library, with its shape: a lag, or an oscillation."""
+    """A filter of a signal: a form of the library, a lag or an oscillation, with its shape."""
 
     form: EffectForm
     shape: tuple[tuple[str, float], ...]
 
     @property
     def width(self) -> int:
-        """Number of its signals."""
+        """Number of its output signals."""
         return len(shape_of(self.form).strengths)
 
     def of(self, times: FloatArray, signal: FloatArray) -> FloatArray:
-        """(n, width): what comes out of it."""
+        """(n, width): the outputs of the filter."""
         values = dict.fromkeys((c.name for c in self.form.coefficients), 0.0) | dict(self.shape)
         still = np.zeros_like(signal)
         return shape_of(self.form).directions(FormArguments(times, still, signal, still), values)
@@ -183,7 +183,7 @@ class FreeFilter:
 def free_filters(
     trajectories: Sequence[LinearisedTrajectory], frequencies: Sequence[float]
 ) -> tuple[FreeFilter, ...]:
-    """Return lags over all scales of time that the data know, and an oscillation if any is seen."""
+    """Return lags over all time scales of the data, and an oscillation if there is a frequency."""
     step = float(np.median(np.concatenate([np.diff(each.times) for each in trajectories])))
     longest = max(float(np.ptp(each.times)) for each in trajectories)
     ends = SHORTEST_LAG * step, max(LONGEST_LAG * longest, SHORTEST_LAG * step)
@@ -194,9 +194,9 @@ def free_filters(
 
 
 def _rank(product: FloatArray, states: int, variance: float) -> float:
-    """The score statistic of a curve, less the price of its coefficients.
+    """The score statistic of a curve, minus the penalty for its coefficients.
 
-    At a pair of states a curve acts on each of them with coefficients of its own.
+    At a pair of states, a curve acts on each state with its own coefficients.
     """
     block = np.concatenate(np.split(product, states, axis=1))
     b, sketch = block[:, 0], block[:, 1:]
@@ -210,14 +210,14 @@ def _rank(product: FloatArray, states: int, variance: float) -> float:
     kept = values > DEPENDENT * values[-1]
     shares = (vectors[:, kept].T @ b) ** 2 / values[kept]
     d = int(kept.sum())
-    unbiased = max(count - d - 1, 1) / count  # of an inverse, T. W. Anderson (2003), lemma 7.7.1
+    unbiased = max(count - d - 1, 1) / count  # inverse: T. W. Anderson (2003), lemma 7.7.1
     return float(unbiased * shares.sum()) / max(variance, 1e-300) - COLUMN_PENALTY * (d - 1)
 
 
 def _acting(
     trajectory: LinearisedTrajectory, signals: AdjointSignals, site: EffectSite
 ) -> FloatArray:
-    """(n, width m): what a function at a site weighs with; at an input it multiplies the signal."""
+    """(n, width m): weights of a function at a site; at an input, the function is a factor."""
     if site.kind == "pair":
         return np.hstack([signals.at(site, state) for state in site.targets])
     acting = signals.at(site)
@@ -226,14 +226,14 @@ def _acting(
 
 @dataclass(frozen=True)
 class AdjointSignals:
-    """Along one experiment, what is added at any site weighs with these in m weighted sums.
+    """The contribution of a unit term at any site of one experiment to m weighted residual sums.
 
     Attributes
     ----------
     names
-        Of the outputs.
+        Names of the outputs.
     at_states, at_outputs : (n, x, m), (n, y, m)
-        At state derivatives, and at outputs.
+        Weights at state derivatives, and at outputs.
     """
 
     linear: Linearisation = field(repr=False)
@@ -242,7 +242,7 @@ class AdjointSignals:
     at_outputs: FloatArray = field(repr=False)
 
     def at(self, site: EffectSite, state: str = "") -> FloatArray:
-        """(n, m): at a site, at a pair at the derivative of one of its states."""
+        """(n, m): weights at a site; at a pair, at the derivative of the given state."""
         linear = self.linear
         if site.kind in ("derivative", "pair"):
             return self.at_states[:, linear.state_names.index(state or site.target)]

@@ -1,4 +1,4 @@
-"""Screening: every candidate against the residual to first order, tested against noise."""
+"""Screening: compares every candidate with the residual to first order, and tests the best."""
 
 from __future__ import annotations
 
@@ -51,12 +51,13 @@ class ScreeningThresholds:
     Attributes
     ----------
     most_rows
-        Residuals that are screened; longer records are thinned. Memory: all directions of some
-        hundred candidates at once.
+        Number of residuals that are screened; longer records are thinned. Memory: the directions
+        of some hundred candidates are stored at once.
     most_values
-        The same times the columns of all candidates. Memory: 128 MB, and some five copies of it.
+        Number of screened residuals times the columns of all candidates. Memory: 128 MB, in some
+        five copies.
     autoregression
-        Order of the autoregression that whitens. Benchmark.
+        Order of the autoregression that whitens the residual. Benchmark.
     """
 
     most_rows: int = 20_000
@@ -67,29 +68,29 @@ class ScreeningThresholds:
 SCREENING = ScreeningThresholds()
 
 SHORTEST_SPECTRUM = 16
-"""Samples that a record needs for a spectrum. Signal."""
+"""Number of samples that a record needs for a spectrum. Signal."""
 PEAKS, PEAK_DISTANCE = 2, 0.1
-"""Frequencies of the residual's spectrum that periodic effects begin with, and the relative
-distance from which on two are different."""
+"""Number of peaks of the residual's spectrum at which periodic effects start, and the relative
+distance from which two peaks count as different."""
 LATER_PLACES = 10
-"""Leading places at which forms are tried that differ little from others."""
+"""Number of leading places at which forms are tried that differ little from other forms."""
 CURVE_PLACES = 12
-"""Places of leading free curves at which finer ones are looked at."""
+"""Number of leading free curves at whose places finer curves are tried."""
 PROBED_PLACES = 4
-"""Both where each candidate takes simulations of its own, as in co-simulation."""
+"""Replaces both numbers if each candidate must be simulated, as in co-simulation."""
 
 
 @dataclass(frozen=True)
 class ScreeningResult:
-    """All candidates against the residual of a fit, tested.
+    """All candidates, compared with the residual of a fit, and the tests of the best.
 
     Attributes
     ----------
     structure, structure_white
         Tests for any smooth structure, before and after whitening.
     p, p_white
-        Family-wise p-values; where not all candidates were looked at, by Bonferroni's inequality
-        times `CandidateRanking.unseen`.
+        Family-wise p-values. If not all candidates were compared, they are multiplied by
+        `CandidateRanking.unseen` (Bonferroni's inequality).
     """
 
     ranking: CandidateRanking = field(repr=False)
@@ -100,22 +101,22 @@ class ScreeningResult:
 
     @property
     def count(self) -> int:
-        """Different candidates that the parameters do not confound."""
+        """Number of different candidates that the parameters do not confound."""
         return self.ranking.count
 
     def without_bases(self) -> Self:
-        """Return it without what looks for pairs of candidates: some 100 MB."""
+        """Return the result without the arrays for pairs of candidates, which take some 100 MB."""
         return replace(self, ranking=self.ranking.without_bases())
 
     def without_directions(self) -> Self:
-        """Return what is told of it when its round is over."""
+        """Return the part of the result that is reported after its round."""
         return replace(self, ranking=replace(self.ranking.without_bases(), columns=()))
 
 
 def screen(
     fitter: Fitter, settings: LoopSettings, fitted: FittedModel, step: int
 ) -> ScreeningResult:
-    """Rank every candidate at a fit, and test the best; each round has generators of its own."""
+    """Rank every candidate at a fit, and test the best; each round uses its own random numbers."""
     ranking = rank(fitter, settings, fitted)
     streams = [fitter.generator(10 * step + stream) for stream in (3, 4)]
     draws = settings.draws
@@ -134,35 +135,35 @@ def screen(
     for done, test in enumerate(tests):
         fitter.runner.display.step(LoopStage.TESTS.value, done, len(tests))
         found.append(test())
-    ranking = replace(ranking, white=ranking.white.without_bases())  # which these tests alone need
+    ranking = replace(ranking, white=ranking.white.without_bases())  # only the tests need them
     return ScreeningResult(ranking, *found)
 
 
 @dataclass(frozen=True)
 class CandidateEvidence:
-    """One candidate and its evidence, a row of findings.parquet.
+    """One candidate and its evidence: a row of findings.parquet.
 
     Attributes
     ----------
     step
-        1 for the search for the first effect, and so on.
+        Number of the round: 1 for the search for the first effect.
     site, form, family, variables
         Of the effect: "der(v)", "coulomb", "friction", ("v",).
     statistic, freedom
         Score statistic and its degrees of freedom.
     log_p
-        Natural logarithm of its own p-value, before any correction for the number of candidates.
+        Natural logarithm of its own p-value, not corrected for the number of candidates.
     explained
-        Share of the residual sum of squares that its direction carries.
+        Share of the residual sum of squares that its direction explains.
     distinct
-        Norm of its direction outside the declared parameters, over that before.
+        Norm of its direction outside the declared parameters, divided by the norm of the whole.
     stage
-        The last one that it reached.
+        The last stage that the candidate reached.
     criterion
-        Bayesian information criterion of its refit minus that of the model without it; NaN where
-        it was not refitted.
+        Bayesian information criterion of its refit, minus that of the model without the candidate;
+        NaN if the candidate was not refitted.
     confounded_with
-        For one set aside: the declared parameter whose sensitivity is most like its direction.
+        For a candidate that was set aside: the declared parameter with the most similar direction.
     """
 
     step: int
@@ -183,7 +184,7 @@ class CandidateEvidence:
 def findings(
     ranking: CandidateRanking, fitted: FittedModel, step: int
 ) -> dict[str, CandidateEvidence]:
-    """The best trial of each candidate as a finding, by the effect's name."""
+    """Return the evidence of each candidate, at its best trial, by the effect's name."""
     found: dict[str, CandidateEvidence] = {}
     scores = ranking.plain
     matrix = fitted.jacobian[ranking.rows]
@@ -212,7 +213,7 @@ def findings(
 
 
 def _confounding_parameter(matrix: FloatArray, column: FloatArray, fitted: FittedModel) -> str:
-    """The declared parameter whose sensitivity is most like a direction."""
+    """The declared parameter whose sensitivity is most similar to a direction."""
     direction = column[:, 0]
     norms = np.linalg.norm(matrix, axis=0) * np.linalg.norm(direction)
     if not norms.size or not norms.max() > 0.0:
@@ -222,30 +223,31 @@ def _confounding_parameter(matrix: FloatArray, column: FloatArray, fitted: Fitte
 
 
 PLACES_STREAM = 7
-"""Stream of the random generator of the places; see `Fitter.generator`."""
+"""Random stream for the ranking of places; see `Fitter.generator`."""
 
 
 @dataclass(frozen=True)
 class CandidateRanking:
-    """All candidates against the residual of a fit.
+    """All candidates, compared with the residual of a fit.
 
     Attributes
     ----------
     trials
-        Candidates at the points of their grids.
+        Candidates at the points of their grids, one trial per point.
     columns
         The direction of each trial, (kept residuals, width).
     rows, records
         Indices of the residuals that were kept, and their records.
     plain, white
-        Scores against the residual as it is, and after both were whitened by an autoregression.
+        Score tests against the residual, and against it after whitening by an autoregression.
     residual, residual_white
-        What they were scored against.
+        The residuals of the two score tests.
     unseen
-        Candidates that were looked at, if only by their places, for each that was compared itself.
+        Number of candidates that were considered, at least by their places, divided by the number
+        of candidates that were compared with the residual.
     first
-        Number of the trials whose choice does not depend on the residual. Those behind them are
-        forms that are looked at later, at the places that led: family-wise tests are of the first.
+        Number of trials whose selection does not depend on the residual. The trials after them
+        have later forms, at the leading places. Family-wise tests use only the first trials.
     """
 
     trials: tuple[CandidatePoint, ...]
@@ -261,16 +263,16 @@ class CandidateRanking:
 
     @property
     def count(self) -> int:
-        """Different candidates that the parameters do not confound, the unseen ones among them."""
+        """Number of candidates that the parameters do not confound, including unseen ones."""
         kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
         return max(1, round(len(kept) * self.unseen))
 
     def without_bases(self) -> Self:
-        """Return it without the bases of its scores."""
+        """Return the ranking without the bases of its scores."""
         return replace(self, plain=self.plain.without_bases(), white=self.white.without_bases())
 
     def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
-        """The best trial of each named candidate, or of each free one; the best first."""
+        """The best trial of each named candidate, or of each free one; the best comes first."""
         rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
         best: dict[str, int] = {}
         for i in np.argsort(-rank, kind="stable").tolist():
@@ -288,8 +290,8 @@ def rank(
 ) -> CandidateRanking:
     """Rank every candidate at a fit.
 
-    Each is compared with the residual by itself, so there may be more candidates than measured
-    values: what the choice among many costs is in the criterion of the selection.
+    Each candidate is compared with the residual separately, so there may be more candidates than
+    measured values. The criterion of the selection has the penalty for a choice among many.
     """
     trajectories = fitter.trajectories(fitted)
     candidates, possible = _candidates(fitter, settings, fitted, trajectories, chosen)
@@ -341,7 +343,7 @@ def rank(
 
 
 def points_of(candidates: Sequence[EffectCandidate]) -> tuple[CandidatePoint, ...]:
-    """Return the points of the grids of candidates."""
+    """Return the grid points of candidates as trials."""
     return tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
 
 
@@ -352,7 +354,7 @@ def _beside(
     trajectories: Sequence[LinearisedTrajectory],
     seen: CandidateRanking,
 ) -> list[EffectCandidate]:
-    """The candidates of the forms that are looked at later, at the places that lead."""
+    """The candidates with forms that are tried later, at the leading places."""
     scores = seen.plain
     rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
     most = LATER_PLACES if fitter.by_linear_systems else PROBED_PLACES
@@ -375,7 +377,7 @@ def _candidates(
     trajectories: Sequence[LinearisedTrajectory],
     chosen: PlaceThresholds,
 ) -> tuple[list[EffectCandidate], int]:
-    """All candidates, or those at leading places where there are many; how many were looked at."""
+    """All candidates, or those at leading places if there are many; the number considered."""
     frequencies = _peaks(fitter.records, fitted.residuals)
     given = (fitted.problem, fitter.description, trajectories)
     opened, arguments = OpenSites(*given, settings), open_arguments(*given)
@@ -404,9 +406,9 @@ def candidate_columns(
     trials: Sequence[CandidatePoint],
     rows: IntArray | None = None,
 ) -> list[FloatArray]:
-    """Directions of all trials: from the linear systems, or where there are none by simulation.
+    """Compute the directions of all trials: from linear systems, or else by simulation.
 
-    `rows` are the residuals that are kept; None for all of them.
+    `rows` are the indices of the residuals that are kept; None for all.
     """
     known = fitted.space.physical(fitted.x)
     targets = [p.target for p in fitted.problem.parameters]
@@ -427,7 +429,7 @@ def candidate_columns(
 
 
 def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
-    """Angular frequencies at which the residual of some record is strongest."""
+    """Angular frequencies of the highest peaks in the residual's spectra."""
     best: list[tuple[float, float]] = []
     for record in records.items:
         part, times = residuals[record.rows], record.times
@@ -452,16 +454,17 @@ def rank_curves(
     *,
     variables: int = 1,
 ) -> CandidateRanking:
-    """Rank the leading free curves at a fit against finer ones at the same places.
+    """Rank the leading free curves at a fit, together with finer curves at the same places.
 
-    What changes faster than the values of a curve lie apart looks like little to that curve, and
-    may look like more elsewhere. The ranking is of these curves alone, the coarse ones first.
+    A coarse curve explains little of an effect that varies faster than the distance between its
+    values, and the effect may seem stronger elsewhere. The ranking has only the curves, coarse
+    ones first.
 
     Parameters
     ----------
     variables
-        1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
-        alone does and would crowd out curves that say less.
+        1 for curves of one argument, 2 for curves of a switch. Curves of a switch follow most of
+        what the switch alone does, and would displace curves with fewer values.
     """
     leaders = [
         i
@@ -487,9 +490,9 @@ def rank_curves(
 def rank_filters(
     fitter: Fitter, settings: LoopSettings, fitted: FittedModel, ranking: CandidateRanking
 ) -> CandidateRanking:
-    """Rank free filters too, behind all others, at the places that these have been looked at.
+    """Return the ranking with free filters added at the end, at the places that were tried.
 
-    None where a user has named the forms to try: what is named is among these.
+    If the user has named the forms to try, none are added, as named filters are already tried.
     """
     if settings.forms:
         return ranking
@@ -517,7 +520,7 @@ def rank_filters(
 
 
 def leading_places(curves: CandidateRanking) -> list[int]:
-    """Return the coarsest curve of each place, in the order of what the best one there explains."""
+    """Return the coarsest curve of each place, sorted by what the best curve there explains."""
     coarsest: dict[tuple[EffectSite, tuple[str, ...]], int] = {}
     for i, trial in enumerate(curves.trials):
         coarsest.setdefault(place_of(trial.candidate), i)
@@ -527,7 +530,7 @@ def leading_places(curves: CandidateRanking) -> list[int]:
 
 
 def place_of(candidate: EffectCandidate) -> tuple[EffectSite, tuple[str, ...]]:
-    """Return where a candidate acts, and what it is a function of."""
+    """Return the site of a candidate, and its variables."""
     return candidate.site, candidate.effect.variables
 
 

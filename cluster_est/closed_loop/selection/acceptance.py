@@ -1,11 +1,12 @@
-"""Acceptance of a structure: prediction, bounded outputs, and functions of time to be believed.
+"""Acceptance of a structure: its predictions, bounded outputs, and credible functions of time.
 
-It must predict what it was not fitted to, and stay bounded where the inputs swing further.
+A structure must predict data to which it was not fitted, and its outputs must stay bounded when the
+inputs are enlarged.
 
-Functions of time alone, waves and drifts, must earn more than a mechanism: such a function
-describes a disturbance, and holds for these records and for no others. So it is accepted only where
-all experiments agree on it. A wave must besides be no resonance of the model itself and be seen
-often enough, and a mechanism that does nearly as much comes first.
+Functions of time alone, waves and drifts, must pass more tests than a mechanism, because they
+describe a disturbance and hold only for these records. So such a function is accepted only if all
+experiments agree on it. In addition, a wave must not be a resonance of the model and must have
+enough periods, and a mechanism that explains nearly as much is preferred.
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ class AcceptanceThresholds:
     Attributes
     ----------
     largest_step
-        Of a parameter: in logarithms, or as a share of its value. Benchmark.
+        Largest step of a parameter: in logarithms, or as a share of its value. Benchmark.
     unpredicted
-        Factor on its own squares where no prediction can be simulated. Benchmark.
+        Factor on the squares of a part if no prediction can be simulated. Benchmark.
     reach
-        Times its measured half range that an output may reach with enlarged inputs. Benchmark.
+        Largest distance of an output with enlarged inputs from its mean, as a multiple of its
+        measured half range. Benchmark.
     """
 
     largest_step: float = 0.5
@@ -69,11 +71,11 @@ parts do not determine keep their values."""
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 BETTER_PARTS = 2.0 / 3.0
-"""Least share of the left-out parts that a structure must predict better, among the parts with a
-difference. By definition: most of them."""
+"""Smallest share of the left-out parts that a structure must predict better. Parts without a
+difference do not count. By definition: most of them."""
 TOLD_APART = 0.01
-"""Least difference of a part's squares, over the mean of all parts before, that counts. By
-definition: an effect that acts in few parts changes nothing in the others."""
+"""Smallest difference of a part's squares that counts, relative to the mean over all parts of the
+earlier prediction. By definition: an effect that acts in few parts leaves the others unchanged."""
 
 
 @dataclass(frozen=True)
@@ -141,22 +143,23 @@ def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
 @by_content
 @dataclass(frozen=True)
 class RefitWithoutPart(Method):
-    """Refit a model to all residuals but some, from its fit to all; the cost is that of the part.
+    """Refit a model without a part of the residuals; the cost is the sum of squares of that part.
 
-    Levenberg-Marquardt steps whose derivatives begin as those of the fit to all, and are corrected
-    by what each step has shown, so that an iteration is one simulation: Broyden's update, which
-    leaves zeros as they are, because an experiment does not depend on the initial states of others
-    (L. K. Schubert, Math. Comp. 24 (1970) 27-30, doi:10.1090/S0025-5718-1970-0258276-9). Then the
-    unknowns that belong to the part alone are fitted to it.
+    The refit starts from the fit to all residuals and their derivatives, with Levenberg-Marquardt
+    steps. After each step, Broyden's update corrects the derivatives, so an iteration needs only
+    one simulation. The update keeps zeros, because an experiment does not depend on the initial
+    states of others (L. K. Schubert, Math. Comp. 24 (1970) 27-30,
+    doi:10.1090/S0025-5718-1970-0258276-9). Then the unknowns that act only on the part are fitted
+    to it.
 
     Attributes
     ----------
     fitted, jacobian : (N,), (N, unknowns)
-        Residuals of the fit to all, and their derivatives.
+        Residuals of the fit to all residuals, and their derivatives.
     part
-        Rows of what is left out.
+        Rows of the part that is left out.
     held : (unknowns,)
-        Unknowns that keep their values.
+        Mask of the unknowns that keep their values.
     """
 
     name: ClassVar[str] = "refit without a part"
@@ -169,7 +172,7 @@ class RefitWithoutPart(Method):
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        del generator  # nothing is drawn
+        del generator  # the method uses no random numbers
         others = np.ones(len(self.fitted), bool)
         others[self.part] = False
         shared = self._unknowns_of(others)
@@ -183,7 +186,7 @@ class RefitWithoutPart(Method):
         return Solution(x, ACCEPTANCE.unpredicted * left if failed else left, Ending.CONVERGED)
 
     def _unknowns_of(self, rows: BoolArray) -> BoolArray:
-        """The unknowns that these residuals depend on, but those that keep their values."""
+        """The unknowns on which these residuals depend, without those that keep their values."""
         moved: BoolArray = (self.jacobian[rows] != 0.0).any(axis=0) & ~self.held
         return moved
 
@@ -195,9 +198,9 @@ class RefitWithoutPart(Method):
         rows: BoolArray,
         unknowns: BoolArray,
     ) -> Generator[Points, list[Evaluation], tuple[FloatArray, FloatArray, bool]]:
-        """Refit some unknowns to some of the residuals; the rest follows.
+        """Refit some unknowns to some of the residuals, and return all residuals at the result.
 
-        Returned are the unknowns, all residuals, and whether no step could be simulated.
+        Returns the unknowns, all residuals, and whether no step could be simulated.
         """
         matrix, step = self.jacobian[np.ix_(rows, unknowns)], np.zeros(len(x))
         depends, sizes = matrix != 0.0, np.linalg.norm(matrix, axis=0)
@@ -232,7 +235,7 @@ class RefitWithoutPart(Method):
 
 
 def _parts(fitter: Fitter) -> list[IntArray]:
-    """The residuals that are left out together."""
+    """Row indices of the residuals that are left out together."""
     records = fitter.records
     count = len(fitter.train)
     if count > FEW_EXPERIMENTS:
@@ -250,22 +253,22 @@ def _parts(fitter: Fitter) -> list[IntArray]:
 
 
 def is_usable(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> bool:
-    """Return whether a grown model stays bounded, and can be linearised to go on from."""
+    """Return whether an extended model stays bounded and can be linearised for the next round."""
     return stays_bounded(fitter, fitted, trusted) and can_be_linearised(fitter, fitted)
 
 
 def stays_bounded(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> bool:
-    """Return whether no output runs away when the training inputs swing further.
+    """Return whether no output runs away when the inputs of the training experiments are enlarged.
 
-    It may go as far as several times what was measured, or what the trusted model makes of the
-    same inputs: a loop that starts at rest answers a displaced reference with a large transient.
+    An output may reach several times its measured range, or the range that the trusted model gives
+    for the same inputs: a loop that starts at rest has a large transient for a displaced reference.
     """
     spaces = [fitter.space(f.start, ENLARGED) for f in (fitted, trusted)]
     (at,), (usual,) = fitter.evaluate(
         LoopStage.ENLARGED_INPUTS, [(s, s.start[None, :]) for s in spaces]
     )
     if not usual.ok:
-        return True  # such inputs are beyond the model itself
+        return True  # even the trusted model cannot be simulated with such inputs
     if not at.ok:
         return False
     for run, outcome, known in zip(fitter.runs, at.outcomes, usual.outcomes, strict=True):
@@ -286,10 +289,10 @@ def stays_bounded(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> 
 
 
 def can_be_linearised(fitter: Fitter, fitted: FittedModel) -> bool:
-    """Return whether every training experiment has a linear model along its trajectory.
+    """Return whether every training experiment can be linearised along its trajectory.
 
-    An effect may lead the model to the edge of where it has an answer: it can be simulated there,
-    and a step to the side cannot. Nothing can be screened at such a fit.
+    An effect may lead the model to the limit of its domain: it can be simulated there, but not at
+    a perturbed point, so that nothing can be screened at such a fit.
     """
     try:
         fitter.trajectories(fitted)
@@ -305,17 +308,19 @@ def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
 
 @dataclass(frozen=True)
 class WaveThresholds:
-    """Thresholds that a wave in time must pass beside all others.
+    """Additional thresholds that a wave in time must pass.
 
     Attributes
     ----------
     periods
-        That the longest record must have of a wave. Signal: of fewer a drift looks the same.
+        Smallest number of periods in the longest record. Signal: with fewer periods, a drift looks
+        the same.
     nearly
-        Share of what it explains that a mechanism must explain to come first. Benchmark.
+        Share of the wave's improvement that a mechanism must reach to be preferred. Benchmark.
     apart
-        Of its strength, by which the experiments may want another function of time on average.
-        Theory: with phases or signs at random what all share is smaller than what each wants.
+        Largest average deviation of the strengths that fit single experiments best, as a share of
+        the common strength. Theory: with random phases or signs, the common strength is smaller
+        than the single ones.
     """
 
     periods: float = 3.0
@@ -326,15 +331,15 @@ class WaveThresholds:
 TIME_FUNCTIONS = WaveThresholds()
 
 MODES = 5
-"""Places along a record at which the eigenvalues of the model are looked at."""
+"""Number of times along a record at which the eigenvalues of the model are computed."""
 
 
 def admissible(
     fitter: Fitter, current: FittedModel, contenders: Sequence[RefittedCandidate]
 ) -> list[RefittedCandidate]:
-    """Contenders whose waves in time may be believed; the one to be chosen first.
+    """Return the contenders whose functions of time are credible, the preferred one first.
 
-    They grow from `current`, and come with the best first.
+    The contenders extend `current`; the best one must come first.
     """
     left = [c for c in contenders if _is_admissible(fitter, current, c.fitted)]
     if not left or not _waves(left[0].fitted, current):
@@ -347,14 +352,14 @@ def admissible(
 
 
 def period_of(candidate: EffectCandidate, fitted: FittedModel) -> float:
-    """Return the period in seconds of a wave in time; NaN for what is none."""
+    """Return the period in seconds of a wave in time; NaN for all other effects."""
     frequency = fitted.estimates.get(f"{candidate.effect.name}.f", np.nan)
     wave = candidate.form.of_time_alone and frequency > 0.0
     return 2.0 * np.pi / frequency if wave else np.nan
 
 
 def residuals_without(fitted: FittedModel, candidate: EffectCandidate) -> FloatArray:
-    """Return the residuals that a wave in time leaves when it is taken away, to first order."""
+    """Return the residuals without a wave in time, to first order."""
     labels = [u.label for u in fitted.space.unknowns]
     sine_and_cosine = [f"{candidate.effect.name}.{part}" for part in ("a", "b")]
     columns = [labels.index(name) for name in sine_and_cosine if name in labels]
@@ -362,7 +367,7 @@ def residuals_without(fitted: FittedModel, candidate: EffectCandidate) -> FloatA
 
 
 def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
-    """The effects that are new, and waves in time."""
+    """The new effects that are waves in time."""
     new = [c for c in fitted.added if c.effect.name not in current.structure]
     return [c for c in new if np.isfinite(period_of(c, fitted))]
 
@@ -383,10 +388,10 @@ def _is_admissible(fitter: Fitter, current: FittedModel, fitted: FittedModel) ->
 def _is_resonance(fitter: Fitter, current: FittedModel, frequency: float) -> bool:
     """Return whether a frequency lies within the width of a resonance of the model.
 
-    Whatever disturbs a model with little damping leaves a residual there. A mode with eigenvalue
-    s is one where its damping ratio -Re(s) / |s| is below 1/2; its width is |Re(s)|, half of that
-    of its power, but never counted below a tenth of its frequency. Where a model is not linear its
-    modes change along a record: one that is there for less than half of it does not ring for long.
+    A disturbance of a lightly damped model leaves a residual at its resonance. An eigenvalue s is
+    a resonance if its damping ratio -Re(s) / |s| is below 1/2. Its width is |Re(s)|, half of the
+    width of its power, but at least a tenth of its frequency. The eigenvalues of a nonlinear model
+    change along a record. A resonance counts only if it exists in at least half of the record.
     """
     for trajectory in fitter.trajectories(current):
         if trajectory.linear is None:
@@ -400,7 +405,7 @@ def _is_resonance(fitter: Fitter, current: FittedModel, frequency: float) -> boo
 
 
 def _rings_at(matrix: FloatArray, frequency: float) -> bool:
-    """Return whether a mode of a linear system has this frequency within its width."""
+    """Return whether a linear system has a resonance whose width contains this frequency."""
     modes = np.linalg.eigvals(matrix)
     size = np.abs(modes)
     rings = (modes.imag > 0.0) & (-modes.real < 0.5 * size)
@@ -409,11 +414,11 @@ def _rings_at(matrix: FloatArray, frequency: float) -> bool:
 
 
 def _agrees(fitter: Fitter, fitted: FittedModel, candidate: EffectCandidate) -> bool:
-    """Return whether each experiment by itself wants nearly the function of time that all share.
+    """Return whether each experiment alone would choose nearly the common function of time.
 
-    To first order, the strengths that an experiment wants are those of the fit and the step of
-    least squares on its own residual. Of that step, what white noise alone would make is allowed
-    for. With one experiment there is nothing to compare.
+    To first order, the strengths for one experiment are the common ones plus a least-squares step
+    on its own residual. The step that white noise alone would cause is subtracted. With only one
+    experiment, there is nothing to compare.
     """
     labels = [u.label for u in fitted.space.unknowns]
     names = [f"{candidate.effect.name}.{strength}" for strength in candidate.strengths]

@@ -1,17 +1,18 @@
-"""Which of the structures that a search has accepted is its answer.
+"""Selects the answer of a search among the structures that it has accepted.
 
-A search accepts what fits and predicts better than the structure before it. Later effects are
-wrong more often than first ones: they live of what the first ones leave. So the answer is looked
-for once more among all that was accepted, by refits with each part of the data left out: a
-structure takes the place of a plainer one where it predicts the parts better in all, and most of
-them one by one; what is plainer takes the place of a structure that does not. A step that is
-refused does not end the walk: a model may get worse before it gets right.
+A search accepts a structure that fits and predicts better than the structure before it. Later
+effects are wrong more often than the first ones, because they fit what the first ones leave. So
+all accepted structures are compared once more, by refits with each part of the data left out. A
+larger structure replaces a simpler one only if it predicts the parts better in total, and most of
+them individually. A later, simpler structure replaces a larger one unless the larger one predicts
+better. A refused structure does not end the comparison: a model may become worse before a later
+effect makes it right.
 
-A structure in which the strengths of an effect may all be zero, for all that the data say, is no
-answer; without that effect it may be one. Effects of one place and argument are one finding, and
-tested together.
+A structure is not an answer if the data allow all strengths of one of its effects to be zero.
+Without that effect it may be an answer. Effects with the same site and argument are one finding,
+and are tested together.
 
-What is held out chooses nothing. It may veto an answer, and then the one before it is asked.
+Held-out data select nothing. They may veto an answer; then the answer before it is tested.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
 STRENGTH_LEVEL = 0.05
-"""p-value up to which strengths differ from zero, as an interval of 95 % says it of a single one.
-By definition."""
+"""Largest p-value at which strengths count as different from zero; for a single strength, this is
+the test by its 95 % interval. By definition."""
 
 
 def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
-    """Return the answer of a search, and those that it took the place of, the last one first.
+    """Return the answer of a search, and the answers that it replaced, the last one first.
 
-    If the declared model predicts best, it is the only one.
+    If the declared model predicts best, the list contains only that model.
     """
     without, accepted = grown.settings.without, grown.accepted
     if LoopPart.ANSWER in without:
@@ -78,9 +79,10 @@ def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
 def best_ancestors(
     accepted: Sequence[AcceptedStructure], left_out: Collection[int] = ()
 ) -> list[int]:
-    """Return which of the structures take the place of all that came before, in their order.
+    """Return the indices of the structures that replaced all structures before them, in order.
 
-    The first is the declared model, and the last the answer. What is left out is none.
+    The first one is the declared model, and the last one is the answer. Structures in `left_out`
+    are skipped.
     """
     chain = [0]
     for number in range(1, len(accepted)):
@@ -90,9 +92,9 @@ def best_ancestors(
 
 
 def ending_at(found: SelectionResult, number: int) -> SelectionResult:
-    """Return what a search had found when it accepted a structure; 0 is the declared model.
+    """Return the result of a search when it accepted a structure; 0 is the declared model.
 
-    What was accepted later did not predict better what was left out.
+    Structures that were accepted later did not predict the left-out parts better.
     """
     then, steps = found.accepted[number], found.steps
     steps = steps[: then.rounds + 1]
@@ -115,7 +117,7 @@ def _ended(steps: tuple[SelectionRound, ...], why: RejectionReason) -> tuple[Sel
 def _not_the_answer(
     row: ComparedStructure, found: SelectionResult, number: int
 ) -> ComparedStructure:
-    """The row of a structure, which is no longer accepted if it came after the answer."""
+    """Return a row of the search path; a structure after the answer is no longer accepted."""
     later = [[c.label for c in each.model.added] for each in found.accepted[number + 1 :]]
     if not row.accepted or list(row.effects) not in later:
         return row
@@ -123,7 +125,7 @@ def _not_the_answer(
 
 
 def _replaces(later: AcceptedStructure, earlier: AcceptedStructure) -> bool:
-    """Return whether a structure takes the place of an earlier one; the plainer wins a tie."""
+    """Return whether a structure replaces an earlier one; if both are equal, the simpler wins."""
     if _complexity(later.model) > _complexity(earlier.model):
         return later.prediction.is_better_than(earlier.prediction)
     return not earlier.prediction.is_better_than(later.prediction)
@@ -134,14 +136,14 @@ def _complexity(fitted: FittedModel) -> tuple[int, int]:
 
 
 def without_undetermined(fitter: Fitter, found: SelectionResult) -> SelectionResult:
-    """Take out effects whose strengths may all be zero, the least determined one first."""
+    """Remove effects whose strengths may all be zero, the least determined effect first."""
     while (worst := least_determined(fitter, found.current)) is not None:
         found = without_effects(fitter, found, [worst], LoopPart.STRENGTHS)
     return found
 
 
 def least_determined(fitter: Fitter, model: FittedModel) -> int | None:
-    """Return the position of the effect whose strengths are most likely zero; None for none."""
+    """Return the position of the effect whose strengths are most likely zero; None if none is."""
     if not model.added:
         return None
     solution = Solution(model.x, model.sse, Ending.CONVERGED, jacobian=model.jacobian)
@@ -160,9 +162,9 @@ def least_determined(fitter: Fitter, model: FittedModel) -> int | None:
 def undetermined_sentence(
     model: FittedModel, fit: Result, without: Callable[[FittedModel, int, float], float]
 ) -> str:
-    """Return what the last fit of a model says against the strengths of an effect; "" for nothing.
+    """Return a sentence if, by the last fit of a model, an effect's strengths may be zero; else "".
 
-    Its intervals are those that are reported; `without` is `p_without` on a fitter of the model.
+    The intervals are those in the report. `without` is `p_without` on a fitter of the model.
     """
     known = fit.uncertainty
     if known is None or fit.solution.x.shape != model.x.shape:
@@ -179,14 +181,14 @@ def undetermined_sentence(
 
 
 def p_without(fitter: Fitter, model: FittedModel, position: int, degrees: float) -> float:
-    """Return the p-value of an effect by a refit without it, in the place of the linear model.
+    """Return the p-value of an effect by a refit without it, instead of the linear model.
 
-    Of a stop or an overflow the data say that it is stiff, and not how stiff: the sum of squares
-    hardly changes with its strength where that is fitted, and yet rises far towards zero. So the
-    interval holds zero, and the effect is there all the same. With k strengths, n degrees of
-    freedom of the noise and sums of squares S without it and s with it, n (S - s) / (k s) follows
-    F(k, n) where nothing is lost (see `strength_p`). What cannot be simulated without it
-    needs it.
+    For a stop or an overflow, the data show that it is stiff, but not how stiff. Near the fitted
+    strength, the sum of squares hardly changes; far away, towards zero, it rises strongly. So the
+    interval of the linear model contains zero although the effect exists. With k strengths, n
+    degrees of freedom of the noise, and sums of squares S without the effect and s with it,
+    n (S - s) / (k s) follows F(k, n) if the effect does not exist (see `strength_p`). If the model
+    cannot be simulated without the effect, the p-value is 0.
     """
     start = model.start.minus(position)
     (refitted,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
@@ -202,16 +204,16 @@ def p_without(fitter: Fitter, model: FittedModel, position: int, degrees: float)
 def strength_p(
     added: Sequence[EffectCandidate], space: SearchSpace, x: FloatArray, known: Uncertainty
 ) -> list[float]:
-    """Return for each effect the p-value of the strengths at its place, tested jointly.
+    """Return the p-value of each effect: a joint test of the strengths at its site and argument.
 
-    With k strengths a and their covariance C, of which the noise is known with n degrees of
-    freedom, a' C^-1 a / k follows F(k, n) where all are zero: G. A. F. Seber, C. J. Wild, Nonlinear
-    Regression (1989), doi:10.1002/0471725315, section 5.3. For one strength it is the test that its
-    confidence interval makes.
+    With k strengths a and their covariance C, with n degrees of freedom of the noise,
+    a' C^-1 a / k follows F(k, n) if all strengths are zero: G. A. F. Seber, C. J. Wild, Nonlinear
+    Regression (1989), doi:10.1002/0471725315, section 5.3. For a single strength, this is the test
+    by its confidence interval.
 
-    Effects of one site and argument share a test. Where the data do not determine one of the
-    strengths, or one has a value an experiment, it is 1, for a refit without the effect to tell;
-    where there is none, or each is at a bound that is not zero, it is 0.
+    Effects with the same site and argument share a test. The p-value is 1 if the data do not
+    determine one of the strengths, or if one has a value per experiment: then a refit without the
+    effect decides. It is 0 if there is no strength, or if each is at a bound other than zero.
     """
     labels = [unknown.label for unknown in space.unknowns]
     parameters = [unknown.parameter.name for unknown in space.unknowns]
@@ -248,10 +250,10 @@ def without_effects(
     positions: Sequence[int],
     part: LoopPart,
 ) -> SelectionResult:
-    """Take effects out of a result, by their positions, and refit what stays.
+    """Remove effects from a result, by their positions, and refit the remaining structure.
 
-    Where the other effects cannot be simulated without them, or run away, nothing stays. `part` is
-    the part of the search that takes them out.
+    If the rest cannot be simulated or becomes unbounded, the result is the declared model. `part`
+    is the part of the search that removes the effects.
     """
     start = found.current.start
     for position in sorted(positions, reverse=True):

@@ -1,17 +1,17 @@
-"""Other functions of an argument: the forms of the library, and free curves.
+"""Other functions of an argument: forms of the library, and free curves.
 
-A score sees a small step from a model that lacks the effect. Where the effect is large the motion
-with it is another one, on which two functions differ that looked alike before, and the shortlist
-may have held the wrong one. So once a candidate has been refitted, the other functions of its
-argument (sibling forms) are compared with it along the trajectory that it has led to, by linear
-algebra, and those that could do the same are refitted from there.
+A score describes a small step from a model without the effect. If the effect is large, the
+trajectory changes. Two functions that looked alike on the old trajectory may then differ, and the
+shortlist may have contained the wrong one. So after a candidate has been refitted, the other
+functions of its argument (sibling forms) are compared with it by linear algebra, along its new
+trajectory. Those that could explain as much are refitted from there.
 
-A free curve is a function of no form of the library: pairs of places and values. It fits what
-several named effects would only patch, and explains nothing. So it is tried where no named effect
-is accepted, and at the end of a search in the place of all that were, if they leave more than
-noise. A search ends with one that does most of it: what it leaves is partly its own error, which
-named effects would only patch. A curve also leads to names, the siblings of the one that fits. What
-free curves are for functions, free filters are for dynamics: a step response without a name.
+A free curve is not a form of the library: it is a table of places and values. It fits what several
+named effects would only imitate, but it does not explain anything. So it is tried where no named
+effect is accepted. At the end of a search it is also tried in place of all accepted effects, if
+they leave more than noise. A search ends with a curve that closes most of the gap, because its
+remaining error is partly its own. A curve can also lead to a named effect, through the siblings of
+the best curve. Free filters are the same for dynamics: a step response without a name.
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ from workers.messages import FloatArray
 
 
 def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
-    """Propose free curves, and forms of the library to which the best of them leads.
+    """Propose free curves, and the forms of the library to which the best curve leads.
 
-    Those of a switch are among them, because no named effect passes here.
+    Curves of a switch are included, because no named effect passes in this round.
     """
     del best
     coarse = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
@@ -84,10 +84,10 @@ def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[Refitt
 
 
 def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
-    """Refit curves of few values to convergence; the best comes first.
+    """Refit curves with few values to convergence; the best comes first.
 
-    Those at the leading places, and where the best of them is nearly right, those at other places
-    that could do the same.
+    The curves at the leading places are refitted first. If the best of them is nearly right, those
+    at other places that could explain as much follow.
     """
     most = REFINEMENT.curves if begun.has(LoopPart.FREE_CURVE) else 0
     curves = rank_curves(fitter, begun.model, begun.screening.ranking)
@@ -99,10 +99,10 @@ def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
 
 
 def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
-    """Refit the leading curve of a switch, such as a friction whose level depends on the place.
+    """Refit the leading curve of a switch, such as friction whose level depends on the position.
 
-    Only where no named effect passes, or nothing that was found may be claimed: it contains what a
-    switch alone does, and follows what else there is besides.
+    It is used only if no named effect passes, or if no found effect may be claimed: it contains
+    what a switch alone does, and also follows other effects.
     """
     if not begun.has(LoopPart.FREE_CURVE):
         return []
@@ -112,7 +112,7 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
 
 
 def with_filters(fitter: Fitter, begun: RoundStart) -> RoundStart:
-    """Return the start of a round whose ranking has free filters too."""
+    """Return the start of a round with free filters added to the ranking."""
     if not begun.has(LoopPart.FREE_DYNAMICS):
         return begun
     ranking = rank_filters(fitter, begun.settings, begun.model, begun.screening.ranking)
@@ -120,7 +120,7 @@ def with_filters(fitter: Fitter, begun: RoundStart) -> RoundStart:
 
 
 def free_dynamics(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
-    """Propose free filters, and forms of the library to which the best of them leads."""
+    """Propose free filters, and the forms of the library to which the best filter leads."""
     del best
     filters = refit_filters(fitter, begun)
     return [*filters, *refit_named(fitter, begun, filters)]
@@ -129,9 +129,9 @@ def free_dynamics(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[Ref
 def refit_filters(
     fitter: Fitter, begun: RoundStart, bound: PruningBound = NO_BOUND
 ) -> list[RefittedCandidate]:
-    """Refit free filters of low order at the leading places, then of higher; the best first.
+    """Refit free filters at the leading places, from low to high order; the best comes first.
 
-    Only those from which a claim may be in reach: they cost nothing where a disturbance is missing.
+    Only filters that may reach a claim go on, so that a missing disturbance costs little.
     """
     if not begun.has(LoopPart.FREE_DYNAMICS):
         return []
@@ -157,7 +157,7 @@ def _refitted(
     leaders: Sequence[int],
     bound: PruningBound = NO_BOUND,
 ) -> list[FittedModel]:
-    """Refit some trials of a ranking to convergence, without those that cannot reach a bound."""
+    """Refit trials of a ranking to convergence; those that cannot reach a bound are left out."""
     starts = [step.start for step in first_steps(fitter, begun.model, ranking, leaders, bound)]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     return refit_fully(fitter, brief)
@@ -169,12 +169,12 @@ def finer_curves(
     coarse: Sequence[RefittedCandidate],
     bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
-    """Refit finer curves from those that have been refitted; the best comes first.
+    """Refit finer curves, starting from refitted coarser ones; the best comes first.
 
-    A fine curve has many values, and its first step leads astray where the effect is large. So each
-    place that leaves more than noise goes on with twice as many from what it has come to, as long
-    as the criterion falls, and a claim and what the bound asks for are in reach. Places that fall
-    behind are left.
+    A fine curve has many values, and its first step is misleading if the effect is large. So at
+    each place that leaves more than noise, the curve is refined in steps, each with twice as many
+    values, starting from the previous fit. This goes on as long as the criterion falls and both a
+    claim and the bound are in reach. Places that fall behind are not refined.
     """
     records, alternative = fitter.records, REFINEMENT.alternative
     prunes = begun.has(LoopPart.PRUNING)
@@ -196,9 +196,10 @@ def _in_other_places(
     trials: Sequence[CandidatePoint],
     seen: Sequence[FittedModel],
 ) -> list[FittedModel]:
-    """Refit curves or filters at other places briefly, from where the best one stands.
+    """Refit curves or filters at other places briefly, starting from the best one.
 
-    Far from the data many places look alike. Along a trajectory that is nearly right they do not.
+    On a trajectory far from the data, many places look alike; on one that is nearly right, they
+    differ.
     """
     if not seen:
         return []
@@ -219,7 +220,7 @@ def _in_other_places(
 def refit_named(
     fitter: Fitter, begun: RoundStart, curves: Sequence[RefittedCandidate]
 ) -> list[RefittedCandidate]:
-    """Refit forms of the library in the place of the best curve, from where it stands."""
+    """Refit forms of the library in place of the best curve, starting from its fit."""
     named = refit_siblings(fitter, begun, begun.model, begun.screening.ranking, curves[:1])
     return sorted(named, key=lambda c: c.criterion)
 
@@ -227,11 +228,11 @@ def refit_named(
 def _finer_fits(
     fitter: Fitter, begun: RoundStart, fits: Sequence[FittedModel], bound: PruningBound
 ) -> list[FittedModel]:
-    """Refit each curve with twice as many steps, where it leaves more than noise or is behind.
+    """Refit each curve with twice as many values, if it leaves more than noise or is behind.
 
-    Those whose criterion does not fall, or that cannot come to be of use, are left out.
+    Curves are left out if their criterion does not fall, or if they cannot reach the bound.
     """
-    # two standard deviations above what noise alone leaves
+    # two standard deviations above the sum of squares that noise alone leaves
     most = begun.floor * (1.0 + 2.0 * np.sqrt(2.0 / max(fitter.size, 1)))
     rough = [f for f in fits if f.sse > most or f.criterion(fitter.records) > bound.criterion]
     asked = [(f, start) for f in rough if (start := _finer_start(fitter, f)) is not None]
@@ -251,13 +252,13 @@ def _finer_fits(
 
 
 def _reachable(fitted: FittedModel, bound: PruningBound) -> PruningBound:
-    """What a curve must come down to itself; what its criterion must, the finest may still do."""
+    """The bound for a curve: only the finest curve must already reach the bound's criterion."""
     finest = finer_form(fitted.added[-1]) is None
     return bound if finest else PruningBound(sse=bound.sse)
 
 
 def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
-    """The model with a finer curve that says the same; None where there is none."""
+    """The model with a finer curve of the same shape; None if there is no finer form."""
     curve = fitted.added[-1]
     form = finer_form(curve)
     if form is None or not can_be_linearised(fitter, fitted):
@@ -268,18 +269,19 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
 
 
 def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> RoundEnd | None:
-    """Return a round that a single effect has won in the place of all; None if they stay.
+    """Return a round in which one effect wins in place of all accepted ones; None if they stay.
 
-    Only where they leave more than noise. It is a free curve or filter, or a form of the library to
-    which one leads. It must fit better, also if what is left is noise as coloured as it looks, and
-    predict better; a curve or filter must fit better by the price of a choice among all pairs.
+    It is tried only if the accepted effects leave more than noise. The new effect is a free curve,
+    a free filter, or a form of the library to which one leads. It must predict better and fit
+    better, also under the assumption of coloured noise. For a curve or a filter, the criterion must
+    also improve by the penalty for a choice among all pairs.
 
     Parameters
     ----------
     first
-        The start of the first round.
+        The start of the first round of the search.
     now
-        What the search has come to, which no larger structure improves.
+        The structure at the end of the search, which no larger structure improves.
     """
     current, records = now.model, fitter.records
     free = any(candidate.form.free for candidate in current.added)
@@ -313,10 +315,10 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
 
 
 def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:
-    """The criterion where what is left is an autoregression of this order, for each output.
+    """The criterion under the assumption that each output's noise is an autoregression.
 
-    Of coloured residuals the plain criterion counts samples that say the same as so many pieces of
-    evidence, and many coefficients look as if they paid for themselves.
+    For coloured residuals, the plain criterion counts correlated samples as independent evidence,
+    so that many coefficients seem to pay for themselves.
     """
     coefficients = fit_autoregression(fitted.residuals, records, order)
     likelihood = deviance(fitted.residuals, records, coefficients)
@@ -326,7 +328,7 @@ def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int)
 def criterion_falls(
     records: StackedRecords, before: FittedModel, after: FittedModel
 ) -> tuple[float, float]:
-    """By how much the criterion falls: for white noise, and for noise as coloured as the rest."""
+    """The fall of the criterion: for white noise, and for noise as coloured as the residual."""
     order = SCREENING.autoregression
     coloured = [coloured_criterion(fitted, records, order) for fitted in (before, after)]
     return before.criterion(records) - after.criterion(records), coloured[0] - coloured[1]
@@ -339,14 +341,14 @@ def refit_siblings(
     ranking: CandidateRanking,
     contenders: Sequence[RefittedCandidate],
 ) -> list[RefittedCandidate]:
-    """Refit other functions of the argument of the best contender, from where that one stands.
+    """Refit other functions of the best contender's argument, starting from its fit.
 
-    In co-simulation, where nothing is known along the way, nothing is compared.
+    In co-simulation there are none, because the signals inside the model are not known.
 
     Parameters
     ----------
     current, ranking
-        The model that candidates are added to, and all candidates at it.
+        The model to which candidates are added, and the ranking of all candidates at this model.
     contenders
         Refitted candidates, the best first. Those that converged are not refitted again.
     """
@@ -376,7 +378,7 @@ def refit_siblings(
 
 
 def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
-    """Return whether it is a function of the same argument; without one, at the same site."""
+    """Return whether a candidate has the same argument as the best; without one, the same site."""
     own = best.candidate
     if candidate.form.free or candidate.effect.name in done:
         return False
@@ -391,19 +393,20 @@ def starts_in_its_place(
     trials: Sequence[CandidatePoint],
     most: int,
 ) -> list[FitStart]:
-    """Return the best candidate's model with the likeliest others in its place, at most some.
+    """Return the best candidate's model with other candidates in its place, the most likely first.
 
-    Along its trajectory, what they should do is what it does and what it leaves; those that could
-    not do as much are left out.
+    The target of the others is the change by the best candidate, plus what its fit leaves, along
+    its trajectory. Candidates that could not explain enough of it are left out.
 
     Parameters
     ----------
     current
-        The model that it was added to. If it acts at an input, this has the input without it.
+        The model without the best candidate. If the candidate acts at an input, this input is
+        taken from this model.
     best
-        The candidate is the last effect of its model. `ending_with` counts another one last.
+        The candidate is the last effect of its model. `ending_with` moves another one to the end.
     trials
-        What is tried in its place.
+        Candidates to try in its place.
     """
     fitted = best.fitted
     name, values = best.candidate.effect.name, fitted.coefficients(best.candidate)
@@ -434,7 +437,7 @@ def explained_share(
 ) -> tuple[float, FloatArray]:
     """Return the share of a target's squares that columns explain, and the strength of each.
 
-    If not `free` to be scaled, they count as they are and have no strengths.
+    If not `free`, the columns are used without scaling and have no strengths.
     """
     lengths = np.linalg.norm(columns, axis=0)
     whole = float(np.add.reduce(target**2))
@@ -449,7 +452,7 @@ def explained_share(
 def _before(
     fitter: Fitter, current: FittedModel, best: RefittedCandidate
 ) -> list[LinearisedTrajectory]:
-    """Trajectories with the best candidate; an input at which it acts is as it was before it."""
+    """Trajectories with the best candidate; its own input has the values without the candidate."""
     trajectories = fitter.trajectories(best.fitted)
     site = best.candidate.site
     if site.kind != "input":

@@ -1,10 +1,10 @@
 """The gates that a larger structure must pass to take the place of the accepted one.
 
-Each gate has a name, with which a setting can leave it out, a threshold, and the origin of this
-threshold. "theory" names a result of theory. "signal" is a property of measured data or of a
-simulation. "setting" is a key of `[closed_loop]`. "benchmark" means that no theory gives the value:
-the rates in `scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune such a value
-only on the benchmark systems with `split="tune"`, never on the others.
+Each gate has a name, a threshold, and the origin of this threshold. A setting can leave out a gate
+by its name. The origin "theory" names a result of theory. "signal" is a property of measured data
+or of a simulation. "setting" is a key of `[closed_loop]`. "benchmark" means that no theory gives
+the value: the rates in `scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune such
+a value only on the benchmark systems with `split="tune"`, never on the others.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Stop:
-    """A condition that ends a search before a proposal; without a part, it cannot be left out."""
+    """A condition that ends a search before a proposal; if `part` is None, it is always asked."""
 
     part: LoopPart | None
     refuses: Callable[[RoundStart], bool]
@@ -195,7 +195,7 @@ STOPS = (
         "by definition: the remaining error of such a curve is partly its own",
     ),
 )
-"""In the order in which they are asked."""
+"""The stop conditions, in the order in which they are asked."""
 
 FILTERS = (
     Filter(
@@ -213,8 +213,8 @@ FILTERS = (
         "signal: with fewer periods, a drift looks the same",
     ),
 )
-"""In the order in which they are asked. What is left must besides stay bounded (`BOUNDED`), which
-is asked of the best alone, because it takes a simulation."""
+"""The filters, in the order in which they are asked. The chosen proposal must also stay bounded
+(`BOUNDED`); only the best one is asked, because this takes a simulation."""
 
 GATES = (
     Gate(
@@ -253,14 +253,14 @@ GATES = (
         "setting: least_gain; benchmark: the gap above which it is required",
     ),
 )
-"""In the order in which they are asked."""
+"""The gates, in the order in which they are asked."""
 
 OF_ONE_STRUCTURE = (LoopPart.PREDICTION, LoopPart.LEAST_GAIN)
 """Gates whose refusal of one structure says nothing about structures that fit worse."""
 
 
 def reason_to_stop(begun: RoundStart) -> RejectionReason | None:
-    """Return why nothing need be refitted; None if something may be missing."""
+    """Return the reason why no refit is needed; None if an effect may be missing."""
     asked = (stop for stop in STOPS if stop.part not in begun.settings.without)
     return next((stop.reason for stop in asked if stop.refuses(begun)), None)
 
@@ -274,16 +274,16 @@ def first_refusal(fitter: Fitter, attempt: Attempt) -> Gate | None:
 def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandidate]) -> RoundEnd:
     """Return the best proposal that stays bounded and passes the gates.
 
-    What fits best may predict badly, as a flexible law does. So where that is why it is refused,
-    a few of the next best are asked.
+    The best fit may predict badly, for example with a flexible law. So if it is refused by a gate
+    in `OF_ONE_STRUCTURE`, a few of the next best proposals are tested.
 
     Parameters
     ----------
     begun
-        The round.
+        The start of the round.
     proposals
-        Structures other than the accepted one, refitted. One with no more effects than that pays
-        no price for the choice among the candidates.
+        Refitted structures other than the accepted one. A structure without additional effects
+        pays no penalty for the choice among the candidates.
     """
     current = begun.model
     if not proposals:
@@ -330,9 +330,9 @@ def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: F
 
 
 def _curve_does_most(begun: RoundStart) -> bool:
-    """Return whether a free curve or filter is in a structure that closes what a claim needs.
+    """Return whether a structure has a free curve or filter and closes what a claim needs.
 
-    The error of a free curve, which has straight lines between a few values, is far smaller.
+    Its interpolation error, between a few values, is far smaller than the rest that this allows.
     """
     free = any(candidate.form.free for candidate in begun.model.added)
     closed = begun.base.sse - begun.model.sse
@@ -356,7 +356,7 @@ def _gain(records: StackedRecords, begun: RoundStart, chosen: RefittedCandidate)
 def _choice_penalty(begun: RoundStart, chosen: RefittedCandidate) -> float:
     known = len(begun.model.added)
     added = len(chosen.fitted.added) - known
-    # each further effect must earn more: what the ones before leave is partly their own error
+    # each further effect must earn more: part of what the earlier ones leave is their own error
     return float(SELECTION.choice_price * added * (1 + known) * np.log(begun.screening.count))
 
 
@@ -365,10 +365,9 @@ def coloured_noise_explains(
 ) -> bool:
     """Return whether autocorrelated noise would explain as much as an effect does.
 
-    The criterion takes noise for white, and counts as many independent samples as there are: what a
-    process adds to that of the sensors is slow, and some slow function always follows it. So both
-    models are compared once more with an autoregression for the noise of each output: the one of
-    what the effect leaves.
+    The criterion assumes white noise, and counts every sample as independent. Process noise is
+    slow, and some slow function always follows it. So both models are also compared with an
+    autoregression as noise of each output, fitted to the residual that remains with the effect.
     """
     before, after = begun.model, chosen.fitted
     longest = max((len(item.times) for item in records.items), default=0)
@@ -381,9 +380,10 @@ def coloured_noise_explains(
 def beyond_coloured_noise(
     fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
 ) -> list[RefittedCandidate]:
-    """Return the contenders that do more than autocorrelated noise, without functions of time.
+    """Return the contenders that explain more than coloured noise, except functions of time.
 
-    A drift or a wave in time follows whatever disturbs an experiment, and says nothing of others.
+    A drift or a wave in time can follow any disturbance of one experiment, but does not hold for
+    other experiments.
     """
     return [
         c
@@ -396,9 +396,10 @@ def beyond_coloured_noise(
 def _coloured_gain(
     before: FloatArray, after: FloatArray, records: StackedRecords, order: int
 ) -> float:
-    """Fall of the deviance, if noise is the autoregression that the second residual has.
+    """Fall of the deviance if the noise is the autoregression of the second residual.
 
-    A residual that is smooth to rounding has none of a high order; then it is one of a lower.
+    For a residual that is smooth up to rounding error, no autoregression of high order can be
+    fitted; then a lower order is used.
     """
     for lower in range(order, 0, -1):
         try:
@@ -410,12 +411,12 @@ def _coloured_gain(
 
 
 def _closed(begun: RoundStart, after: LeaveOneOutPrediction) -> float:
-    """Share of the gap between predictions and noise that is closed."""
+    """The closed share of the gap between the error of predictions and the noise."""
     return after.closes(begun.prediction, begun.floor, VERDICT.negligible)
 
 
 def _may_leave_noise(attempt: Attempt) -> bool:
-    """Return whether what is left may be the noise of sensors for its size."""
+    """Return whether the remaining residual is small enough to be sensor noise."""
     return attempt.chosen.fitted.sse <= VERDICT.coloured**2 * attempt.begun.floor
 
 
@@ -424,7 +425,7 @@ def _fall(attempt: Attempt) -> float:
 
 
 def _explains_little(attempt: Attempt, fitter: Fitter) -> bool:
-    """Return whether a proposal closes too little of a gap, and more than noise is left of it."""
+    """Return whether a proposal closes too little of the gap and leaves more than noise."""
     begun = attempt.begun
     if not leaves_more_than_noise(begun.model, begun.floor):
         return False
@@ -444,7 +445,7 @@ def _improved(current: FittedModel, grown: FittedModel) -> float:
 
 
 def _rest_is_coloured(attempt: Attempt, fitter: Fitter) -> bool:
-    """Return whether an effect leaves only coloured noise, so that it did all it could."""
+    """Return whether an effect leaves only coloured noise, so that it explains all it can."""
     begun = attempt.begun
     least = VERDICT.negligible * begun.model.sse
     if not attempt.after.is_better_than(begun.prediction) or _fall(attempt) < least:

@@ -1,8 +1,8 @@
-"""What the linear model of the residuals promises: steps, first steps of candidates, and bounds.
+"""Predictions of the linear model of the residuals: steps, first steps of candidates, and bounds.
 
-A refit costs many simulations and what it could reach is known beforehand, roughly: on the
-benchmark the fall of the sum of squares is 1.1 times what the linear model promises as a median,
-and 2.5 times in one of a hundred cases. What cannot come to be of any use is pruned by that.
+A refit needs many simulations, but its result can be predicted roughly. On the benchmark, the sum
+of squares falls by 1.1 times the prediction of the linear model in the median, and by 2.5 times in
+one of a hundred cases. Candidates that cannot become useful are pruned by this prediction.
 """
 
 from __future__ import annotations
@@ -29,37 +29,38 @@ class RefinementThresholds:
     Attributes
     ----------
     largest_step
-        Of a parameter: in logarithms, or as a share of its value. Benchmark.
+        Largest step of a parameter: in logarithms, or as a share of its value. Benchmark.
     closes
-        Share of the gap to the noise that a single effect must close, or more are tried.
-        Benchmark.
+        Share of the gap to the noise that a single effect must close; otherwise more candidates
+        are tried. Benchmark.
     actual_reduction
-        Share of the predicted reduction that a step must bring, or a shorter one is
+        Share of the predicted reduction that a step must bring; otherwise a shorter step is
         tried. Theory: half of it is a good step, J. J. More, doi:10.1007/BFb0067700.
     behind
-        Share of what the best candidate does, where that closes the gap, that another must do to
-        be refitted further. Benchmark.
+        If the best candidate closes the gap: share of its improvement that another candidate must
+        reach to be refitted further. Benchmark.
     claim_promise, rival_promise
-        Times the fall of the squares that the linear model promises for an effect that is not yet
-        there, that it may bring: where a claim hangs on it, and where it must come near what was
-        found already. Benchmark: 1.1 times as a median, 1.5 times in one of twenty.
+        Factors by which a new effect may lower the sum of squares more than the linear model
+        predicts: the first for the test of a claim, the second for the comparison with effects
+        found already. Benchmark: 1.1 times in the median, 1.5 times in one of twenty cases.
     linear_promise
-        Times the fall of the criterion that the linear model promises after some iterations that
-        the rest of a fit may bring. Benchmark.
+        Factor by which the rest of a fit, after some iterations, may lower the criterion more than
+        the linear model predicts. Benchmark.
     finalists
-        Candidates, and other functions of the best one's argument, that are refitted to
-        convergence. Benchmark.
+        Number of candidates, and of other functions of the best one's argument, that are refitted
+        to convergence. Benchmark.
     curves
-        Free curves that are refitted. Benchmark.
+        Number of free curves that are refitted. Benchmark.
     explains
-        Share of what the best candidate does that other functions of its argument must be able to
-        do. Benchmark.
+        Share of the change by the best candidate that another function of its argument must be
+        able to explain. Benchmark.
     equal
-        Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
-        more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795.
+        Largest difference of the criterion that does not tell two candidates apart. Theory: below 2
+        "not worth more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90
+        (1995) 773-795.
     alternative
-        Difference of criteria that leaves a candidate possible. Theory: above 10 the evidence is
-        "very strong", ibid.
+        Largest difference of the criterion to the best at which a candidate is still possible.
+        Theory: above 10 the evidence is "very strong", ibid.
     """
 
     largest_step: float = 0.8
@@ -79,17 +80,17 @@ class RefinementThresholds:
 REFINEMENT = RefinementThresholds()
 
 STEP_LENGTHS = (1.0, 0.3)
-"""Parts of the linear model's step that are simulated, the shorter where the longer does little."""
+"""Parts of the predicted step that are simulated; the shorter one if the longer one does little."""
 POINTS_OF_GRID = 2
-"""Of each candidate, from which first steps are simulated: the best by score."""
+"""Number of grid points per candidate whose first step is simulated: those with the best scores."""
 SCALED_BY = (0.06, 3.0)
-"""Factors between which a finite amount of the grid is scaled: it is no small change."""
+"""Limits of the factor on a finite amount of the grid, for which the linear model may be wrong."""
 
 
 def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
     """Return the step of all unknowns that minimises the linear model of the residuals.
 
-    It is the same whatever the units, and zero for an unknown without effect.
+    The step is the same in all units, and zero for an unknown without effect.
     """
     sizes = np.linalg.norm(jacobian, axis=0)
     sizes[~(sizes > 0.0)] = 1.0
@@ -98,9 +99,9 @@ def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray
 
 
 def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArray:
-    """Return how far each unknown may be moved from a point at once, in search coordinates.
+    """Return how far each unknown may move from a point in one step, in search coordinates.
 
-    `largest` is in logarithms, or a share of a parameter's value.
+    `largest` is in logarithms, or relative to a parameter's value.
     """
     log = space.logarithmic
     return largest * np.where(log, 1.0, np.maximum(np.abs(x), space.typical))
@@ -108,9 +109,9 @@ def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArra
 
 @dataclass(frozen=True)
 class PruningBound:
-    """What a refit must come down to: its criterion and its sum of squares at most.
+    """The bound that a refit must reach: largest criterion and largest sum of squares.
 
-    If `pruned`, what falls behind the best of its fellows is refitted no further either.
+    If `pruned`, refits that fall behind the best one of their group also stop.
     """
 
     criterion: float = np.inf
@@ -123,15 +124,15 @@ UNPRUNED = PruningBound(pruned=False)
 
 
 def predicted_criterion(records: StackedRecords, fitted: FittedModel) -> float:
-    """Return the criterion that the linear model promises after one more step without bounds."""
+    """Return the criterion that the linear model predicts after one more step without bounds."""
     return _ahead(fitted).criterion(records)
 
 
 def can_reach(records: StackedRecords, fitted: FittedModel, bound: PruningBound) -> bool:
-    """Return whether more iterations could bring a fit down to what it must reach.
+    """Return whether more iterations could bring a fit down to a bound.
 
-    The linear model says how far one more step would lead, if there were no bounds. After some
-    iterations the rest of a fit brings little more than that, so some times as much is allowed.
+    The linear model predicts the result of one more step without parameter bounds. After some
+    iterations, the rest of a fit brings little more than this step, so a multiple is allowed.
     """
     times, ahead = REFINEMENT.linear_promise, _ahead(fitted)
     criteria = [each.criterion(records) for each in (fitted, ahead)]
@@ -147,15 +148,15 @@ def can_reach_with(
     added: int,
     bound: PruningBound,
 ) -> bool:
-    """Return whether a model with new unknowns could come down to what it must reach.
+    """Return whether a model with new unknowns could come down to a bound.
 
     Parameters
     ----------
     current
-        The model without them.
+        The model without the new unknowns.
     shares : (outputs,)
-        Of its squares that the linear model leaves after a step of all unknowns, the `added` ones
-        among them.
+        Share of each output's squares that remains in the linear model after a step of all
+        unknowns, including the `added` ones.
     """
     total, likelihood = 0.0, 0.0
     for part, share in zip(records.by_output(current.residuals), shares.tolist(), strict=True):
@@ -169,7 +170,7 @@ def can_reach_with(
 
 
 def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the share (outputs,) of each output's squares that a linear model leaves."""
+    """Return the share (outputs,) of each output's squares that remains in a linear model."""
     left, all_of_it = (_squares(records, each) for each in (after, before))
     return np.array([a / b if b > 0.0 else 1.0 for a, b in zip(left, all_of_it, strict=True)])
 
@@ -185,10 +186,10 @@ def _ahead(fitted: FittedModel) -> FittedModel:
 
 @dataclass(frozen=True)
 class AskedStep:
-    """A candidate at a point of its grid with the step that the linear model asks for.
+    """A candidate at a grid point, with the step that the linear model proposes.
 
-    `left` is the share of each output's squares that the linear model leaves, `predicted` their
-    sum.
+    `left` is the share of each output's squares that remains in the linear model. `predicted` is
+    the sum of squares that remains.
     """
 
     owner: int
@@ -200,14 +201,14 @@ class AskedStep:
     space: SearchSpace = field(repr=False)
 
     def can_reach(self, records: StackedRecords, current: FittedModel, bound: PruningBound) -> bool:
-        """Return whether it may; of what is no small change, the linear model knows nothing."""
+        """Return whether it may reach a bound; for finite changes there is no linear model."""
         if not is_proportional(self.trial):
             return True
         added = len(self.space.unknowns) - len(current.x)
         return can_reach_with(records, current, self.left, added, bound)
 
     def point(self, current: FittedModel, length: float) -> FloatArray:
-        """The point that a part of the step leads to, in the extended space."""
+        """The point after a part of the step, in the extended space of unknowns."""
         known, space = len(current.x), self.space
         most = longest_step(current.space, current.x, REFINEMENT.largest_step)
         moved = current.x + np.clip(length * self.step, -most, most)
@@ -220,7 +221,7 @@ class AskedStep:
 
 @dataclass(frozen=True)
 class FirstStep:
-    """A candidate at the best simulated point of the step that the linear model asks for."""
+    """A candidate at the best of the simulated points along the proposed step."""
 
     sse: float
     asked: AskedStep = field(repr=False)
@@ -234,11 +235,11 @@ def first_steps(
     leaders: Sequence[int],
     bound: PruningBound = NO_BOUND,
 ) -> list[FirstStep]:
-    """Simulate the first step of each leader; shorter ones where it does less than predicted.
+    """Simulate the first step of each leader, and shorter steps if it does less than predicted.
 
-    Leaders that cannot be simulated are left out, and those that the linear model does not let hope
-    to be useful. One whose steps all make it worse starts from nothing instead: with one effect
-    more no model need fit worse.
+    Leaders that cannot be simulated are left out, and so are leaders that cannot become useful
+    according to the linear model. If all steps of a leader increase the sum of squares, it starts
+    with its effect switched off: a model with one more effect never has to fit worse.
     """
     asked = [
         _asked_step(fitter, current, ranking, owner, i)
@@ -267,7 +268,7 @@ def first_steps(
 
 
 def _from_nothing(current: FittedModel, ranking: CandidateRanking, leader: int) -> FitStart | None:
-    """A leader switched off, where it can be switched on little by little; else None."""
+    """A leader switched off, if its strength can start at zero; otherwise None."""
     trial = ranking.trials[leader]
     strengths = trial.candidate.strengths
     if not strengths:
@@ -295,14 +296,14 @@ def _asked_step(
 
 
 def _does_enough(asked: AskedStep, longer: FirstStep | None, current: FittedModel) -> bool:
-    """Return whether a longer step of the same candidate brought enough of what was predicted."""
+    """Return whether a longer step of a candidate brought enough of the predicted reduction."""
     if longer is None:
         return False
     return current.sse - longer.sse >= REFINEMENT.actual_reduction * (current.sse - asked.predicted)
 
 
 def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
-    """The points of a leader's grid, the best score first."""
+    """The grid points of a leader, the best score first."""
     name = ranking.trials[leader].candidate.effect.name
     own = [i for i, t in enumerate(ranking.trials) if t.candidate.effect.name == name]
     return sorted(own, key=lambda i: -ranking.plain.statistics[i])
@@ -311,11 +312,11 @@ def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
 def joint_step(
     current: FittedModel, ranking: CandidateRanking, trials: Sequence[int]
 ) -> tuple[FloatArray, list[FloatArray], FloatArray]:
-    """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
+    """Return the joint Gauss-Newton step, the strengths of each trial, and the residuals left.
 
-    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
-    unknowns make room for it, and it has no strengths. What comes last are the residuals that the
-    linear model leaves.
+    The screened rows are used. A limit cannot change in proportion to a strength. Therefore it is
+    switched on completely and has no strengths, and the other unknowns adapt to it. The last result
+    is the residuals that remain in the linear model.
     """
     matrix = current.jacobian[ranking.rows]
     residuals = current.residuals[ranking.rows]
@@ -333,14 +334,14 @@ def joint_step(
 
 
 def is_proportional(trial: CandidatePoint) -> bool:
-    """Return whether its effect grows with a coefficient from nothing."""
+    """Return whether the effect grows from zero in proportion to a coefficient."""
     return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
 
 
 def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
-    """The trial's coefficients, of some one an experiment, as strong as the linear model asks for.
+    """Return the trial's coefficients, with the strengths that the linear model proposes.
 
-    Where an effect is switched on by a finite amount, that amount is scaled, within limits.
+    Some coefficients have one value per experiment. A finite amount is scaled, within limits.
     """
     asked = iter(strengths.tolist())
     values = []

@@ -1,10 +1,10 @@
-"""The moves of a search: each proposes structures, from one, the ranking at it, and the data.
+"""The moves of a search: each proposes structures, from the current one, its ranking and the data.
 
-`MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, one
-more without an earlier one, a free curve, a free filter. Of a structure that has passed the gates,
-`drop` takes out what no longer pays, and `release_widths` estimates how wide its switches are.
-`LoopPart` has their names, by which a setting leaves them out. What they share is pruned in one
-place (`refits.py`, `linear_model.py`).
+`MOVES` extend a structure, in the order in which they are tried: one more effect, two more effects,
+one more effect without an earlier one, a free curve, a free filter. After a structure has passed
+the gates, `drop` removes effects that no longer pay, and `release_widths` estimates the widths of
+its switches. `LoopPart` has the names of the moves, with which a setting leaves them out. All moves
+prune their candidates by the same rules (`refits.py`, `linear_model.py`).
 """
 
 from __future__ import annotations
@@ -59,32 +59,32 @@ from workers.effects.kinds import GridScale
 from workers.messages import FloatArray
 
 WIDTHS = (0.3, 2.5, 8.0, 25.0)
-"""Widths of a switch that are tried, over the held one."""
+"""Widths of a switch that are tried, relative to the held width."""
 
 BEAM = 4
-"""Single effects that are grown to pairs at most."""
+"""Largest number of single effects that are extended to pairs."""
 
 DROP_PRICE = 2.0
-"""Logarithms of the number of candidates by which the criterion may rise where an effect is
-dropped. Theory: a Bonferroni correction, twice the logarithm on the scale of the criterion."""
+"""Largest rise of the criterion for which an effect is dropped, as a multiple of the logarithm of
+the number of candidates. Theory: a Bonferroni correction; the criterion counts it twice."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """A way to grow or change a structure. It is tried where something is significant at it.
+    """A way to extend or change a structure; it is tried only where the residual is significant.
 
     Attributes
     ----------
     part
         Its name.
     propose
-        Refit structures, given the best so far and what it was compared with; the best first.
+        A function that refits structures, given the best result so far; returns the best first.
     is_worth
-        Whether it is tried after what the moves before it have come to.
+        Whether the move is tried, given the result of the moves before it.
     preferred
-        The one of two ends of a round that is kept: the best so far, or that of its own proposals.
+        Selects one of two results of a round: the best so far, or the result of this move.
     widened
-        The start of the round, with the candidates that it alone looks at.
+        The start of the round, with additional candidates that only this move tries.
     """
 
     part: LoopPart
@@ -95,19 +95,20 @@ class Move:
 
 
 def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
-    """Propose one effect more."""
+    """Propose structures with one more effect."""
     del best
     return _grown(fitter, begun, begun.model, begun.screening.ranking)
 
 
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
-    """Propose two effects more: from pairs of directions, and grown from single ones.
+    """Propose structures with two more effects: from pairs of directions, and from single effects.
 
-    A pair of directions is the first step of both, which hardly tells forms at one place apart. So
-    the forms at the places of the best pair are compared again, each beside the other. Where each
-    effect is large, the second one is seen only at the model with the first. So where no single one
-    passes, the best are grown: a beam search of width `BEAM` (B. T. Lowerre, The HARPY Speech
-    Recognition System, Carnegie Mellon University, 1976).
+    For a pair of directions, only the first step of both effects is known, which hardly separates
+    forms at the same place. So other forms at the places of the best pair are compared, each at
+    the model with the other effect. If both effects are large, the second one shows only at the
+    model with the first. So if no single effect passes, the best ones are extended: a beam search
+    of width `BEAM` (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon University,
+    1976).
     """
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
@@ -131,9 +132,9 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
 def _other_forms(
     fitter: Fitter, begun: RoundStart, pair: RefittedCandidate, bound: PruningBound
 ) -> list[RefittedCandidate]:
-    """Refit other forms at the places of a pair, those of each effect at the model without it.
+    """Refit other forms at the places of a pair, compared at the model without the effect there.
 
-    Only where the pair does enough for a claim: of what it leaves, other forms change little.
+    Nothing is done if the pair explains too little for a claim; other forms would not change this.
     """
     if not begun.has(LoopPart.SIBLINGS) or not can_be_claimed(begun, pair.fitted):
         return []
@@ -162,9 +163,9 @@ def _grown(
     ranking: CandidateRanking,
     most: float = np.inf,
 ) -> list[RefittedCandidate]:
-    """Refit structures with one effect more than a parent has; the best first, each once.
+    """Refit structures with one more effect than a parent; the best comes first, without repeats.
 
-    What can neither come near a criterion of `most` nor be of use is refitted no further.
+    A refit stops early if it can reach neither a criterion near `most` nor a useful improvement.
     """
     accepted = parent is begun.model
     bound = begun.bound(most + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1))
@@ -179,7 +180,7 @@ def _grown(
 
 
 def _leaves_much(begun: RoundStart) -> bool:
-    """Return whether what is missing is still large: the score of a small effect says enough."""
+    """Return whether most of the gap is still open: scores are reliable only for small effects."""
     closed = begun.base.sse - begun.model.sse
     return closed < REFINEMENT.closes * (begun.base.sse - begun.floor)
 
@@ -187,7 +188,7 @@ def _leaves_much(begun: RoundStart) -> bool:
 def _that_may_grow(
     fitter: Fitter, begun: RoundStart, best: RoundEnd
 ) -> Sequence[RefittedCandidate]:
-    """Return all single effects; if noise could be the best, those that no noise could be."""
+    """Return all single effects; if the best may be noise, only those that noise cannot explain."""
     first = best.seen.contenders[:1]
     if not first or beyond_coloured_noise(fitter, begun, first):
         return best.compared
@@ -197,10 +198,10 @@ def _that_may_grow(
 def distinct(
     fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
 ) -> list[FittedModel]:
-    """Return the best structures whose predictions differ, refitted to convergence.
+    """Return the best structures with different predictions, refitted to convergence.
 
-    Structures that predict the same leave the same residual, and so lead to the same next effects:
-    a second name for one of them would be a place lost.
+    Structures with the same predictions leave the same residual, and lead to the same next effects.
+    A second one of them would waste a place in the beam.
     """
     kept: list[FittedModel] = []
     changes: list[FloatArray] = []
@@ -220,20 +221,20 @@ def distinct(
 
 
 def _two_are_worth(begun: RoundStart, best: RoundEnd) -> bool:
-    """Return whether two effects at once are worth a look: no single one does most of it."""
+    """Return whether to try two effects at once: not if a single one closes most of the gap."""
     done = best.won is not None and best.seen.closed >= VERDICT.most
     return _has_room_for_two(begun, best) and not done
 
 
 def _has_room_for_two(begun: RoundStart, best: RoundEnd) -> bool:
-    """Return whether more than one effect may be tried; two follow a disturbance the better."""
+    """Return whether two effects are allowed: not if the best one may be only coloured noise."""
     settings = begun.settings
     room = len(begun.model.added) + 2 <= settings.max_effects
     return settings.pairs and room and not (best.won is None and best.seen.coloured)
 
 
 def _two_that_pay(begun: RoundStart, single: RoundEnd, double: RoundEnd) -> RoundEnd:
-    """One effect more or two, which must pay for the choice among so many pairs."""
+    """The better of one or two effects; two pay a penalty for the choice among all pairs."""
     if double.won is None:
         return single
     price = SELECTION.pair_price * np.log(begun.screening.count)
@@ -243,12 +244,12 @@ def _two_that_pay(begun: RoundStart, single: RoundEnd, double: RoundEnd) -> Roun
 
 
 def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
-    """Propose the best structure that was refused, without an effect that was accepted before.
+    """Propose the best refused structure, without an effect that was accepted before.
 
-    That effect may have stood for what the structure now says better, and spoil its predictions:
-    the conditional exclusion of floating searches (P. Pudil, J. Novovicova, J. Kittler, Floating
-    search methods in feature selection, Pattern Recognition Letters 15, 1119, 1994, DOI
-    10.1016/0167-8655(94)90127-9).
+    The earlier effect may have stood for something that the structure now describes better, and may
+    spoil its predictions. This is the conditional exclusion of floating searches (P. Pudil,
+    J. Novovicova, J. Kittler, Floating search methods in feature selection, Pattern Recognition
+    Letters 15, 1119, 1994, DOI 10.1016/0167-8655(94)90127-9).
     """
     gates = {gate.part for gate in GATES}
     refused = [c for c in best.compared if best.stopped.get(c.fitted.structure) in gates]
@@ -264,17 +265,17 @@ def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
 
 
 def own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
-    """The end of a move of last resort if it has won: it is tried only where nothing else has.
+    """Select the result of a last-resort move if it has won; else the result before it.
 
-    Unless it wins it changes nothing, as long as no move after it reads what it has proposed;
-    `exclude` reads what those before it have.
+    Such a move is tried only if nothing else has won. If it does not win, its proposals are
+    discarded. This is safe because only `exclude` reads proposals, those of the moves before it.
     """
     del begun
     return best if own.won is None else own
 
 
 def better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundEnd:
-    """What fits better, a free curve or a free filter; the log has the filters in any case."""
+    """Select the better fit, a free curve or a free filter; the log always has the filters."""
     if own.won is not None and (curve.won is None or own.won.criterion < curve.won.criterion):
         return own
     return replace(curve, seen=replace(curve.seen, screening=begun.screening))
@@ -303,15 +304,15 @@ MOVES = (
         with_filters,
     ),
 )
-"""In the order in which they are tried."""
+"""The moves, in the order in which they are tried."""
 
 
 def drop(fitter: Fitter, begun: RoundStart, model: FittedModel) -> FittedModel:
-    """Drop the effects that do not pay for themselves; one is left at least.
+    """Drop the effects that do not pay for themselves, but keep at least one.
 
-    Where what is left may be the noise of sensors, they must also pay in noise as coloured as that:
-    slow noise always has some slow function that follows it. What closes too little for a claim is
-    grown first: the next effect changes what it needs.
+    If the remaining residual may be sensor noise, an effect must pay also under the assumption of
+    coloured noise, because some slow function always follows slow noise. A structure that closes
+    too little for a claim is not reduced: the next effect may change which effects it needs.
     """
     if not begun.has(LoopPart.DROP) or not can_be_claimed(begun, model):
         return model
@@ -333,10 +334,10 @@ def drop(fitter: Fitter, begun: RoundStart, model: FittedModel) -> FittedModel:
 def with_widths(
     fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
 ) -> list[RefittedCandidate]:
-    """Return contenders, the best few with the widths of their switches where that pays.
+    """Return contenders; the best few have the widths of their switches refitted if that pays.
 
-    Only those that may come near the best by it. A form without a width would else win over one
-    whose width is wrong.
+    Only contenders that may come near the best are refitted. Otherwise a form without a width would
+    win over the right form with a wrong width.
     """
     most = min((c.criterion for c in contenders), default=np.inf) + REFINEMENT.alternative
     found = []
@@ -354,13 +355,13 @@ def with_widths(
 def release_widths(
     fitter: Fitter, begun: RoundStart, model: FittedModel, most: float = np.inf
 ) -> FittedModel:
-    """Refit a structure with the widths of its switches as unknowns, where that pays.
+    """Refit a structure with the widths of its switches as unknowns, if that pays.
 
-    A dry friction is a switch; a simulation needs it to have a width. How wide matters little where
-    the friction is small against the noise, so a search holds it. Where the friction is large the
-    width is seen, and what a wrong one leaves would be patched with further effects. Each of some
-    widths is simulated, and the linear model says how the other unknowns follow. What cannot come
-    down to a criterion of `most` is not refitted.
+    Dry friction is a switch, and a simulation must give the switch a width. If the friction is
+    small compared with the noise, the width matters little, so a search keeps it fixed. If the
+    friction is large, the width shows in the data, and further effects would compensate for a wrong
+    width. Some widths are simulated, and the linear model gives the step of the other unknowns for
+    each. There is no refit if it cannot reach a criterion of `most`.
     """
     held = _held_widths(model)
     if not held or not begun.has(LoopPart.SWITCH_WIDTHS):
@@ -370,7 +371,7 @@ def release_widths(
     space = fitter.space(start)
     points = np.tile(space.start, (len(WIDTHS), 1))
     for i, unknown in enumerate(space.unknowns):
-        if unknown.label in held:  # in logarithms
+        if unknown.label in held:  # its search coordinate is a logarithm
             points[:, i] = np.log(held[unknown.label].start) + np.log(WIDTHS)
     points = np.clip(points, space.lower, space.upper)
     (answers,) = fitter.evaluate(LoopStage.TRIALS, [(space, points)])
@@ -394,10 +395,10 @@ def release_widths(
 
 
 def _held_widths(model: FittedModel) -> dict[str, Parameter]:
-    """The parameters that hold widths of switches, by name, free between the ends of their grids.
+    """The parameters with held widths of switches, by name, freed between the ends of their grids.
 
-    Widths are small parts of how much their variables move. What a power law refers to is held for
-    good, and no width.
+    The scale of a width is the rms of its variable. The held reference value of a power law has
+    another scale and stays held.
     """
     known = {p.name: p for p in model.problem.parameters if p.fixed}
     found = {}
@@ -406,6 +407,6 @@ def _held_widths(model: FittedModel) -> dict[str, Parameter]:
         for c, values in zip(candidate.form.coefficients, columns, strict=True):
             held = known.get(f"{candidate.effect.name}.{c.name}")
             if held is not None and c.scale is GridScale.RMS_V:
-                bounds = min(*values, held.start), held.upper  # a start may be below by rounding
+                bounds = min(*values, held.start), held.upper  # rounding may put a start below
                 found[held.name] = replace(held, fixed=False, bounds=bounds, scale="log")
     return found

@@ -1,10 +1,10 @@
-"""Refits of the leading candidates, alone and in pairs, and the models that were refitted.
+"""Refits of the leading candidates, single and in pairs, and the refitted models.
 
-A score sees only a first small step. Each leading candidate is therefore switched on together with
-the step of all parameters that the linear model asks for, simulated, and the best are refitted.
+A score describes only a small first step. Therefore each leading candidate is switched on, together
+with the step of all parameters from the linear model, and simulated. The best are refitted.
 
-The best pairs of directions are found by linear algebra alone: for two unit directions b, c with
-g = b'c and the residual's shares x = b'r, y = c'r, both together carry
+The best pairs of directions are found by linear algebra alone. For two unit directions b and c with
+g = b'c, and the shares x = b'r and y = c'r of the residual r, both together explain
 (x^2 + y^2 - 2 g x y) / (1 - g^2) of r'r.
 """
 
@@ -38,53 +38,53 @@ from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.statistics.records import StackedRecords
 
 BRIEFLY = 1e-4
-"""Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
-see who is ahead."""
+"""Largest relative fall of the sum of squares at which a refit ends: precise enough to see which
+candidate is ahead."""
 
 SETTLED_REFIT = 0.1
-"""Fall of the criterion that ends a refit to convergence, over what tells two candidates apart."""
+"""Fall of the criterion at which a full refit ends, relative to `REFINEMENT.equal`."""
 
 FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
 SHORT = replace(FIRST, max_iterations=2)
 
 WHITE_LEADERS = 8
-"""Leaders of the whitened scores that are tried besides those of the plain ones."""
+"""Number of leaders by whitened scores that are tried in addition to those by plain scores."""
 PROMISING = 2
-"""Candidates that go on although they are behind, because of what the linear model promises."""
+"""Number of candidates that continue although they are behind, because of their predicted steps."""
 PAIRED, PAIRS_REFITTED = 1000, 8
-"""Directions that are paired, for which the work grows with the square; pairs that are refitted."""
+"""Number of directions that are paired (the work grows with its square), and of refitted pairs."""
 ALIKE = 0.98
-"""Cosine above which two directions, or two changes of what is predicted, count as one.
+"""Cosine above which two directions, or two changes of the prediction, count as the same.
 Benchmark."""
 
 
 def full_refit(fitter: Fitter) -> LeastSquares:
-    """Return the refit to convergence.
+    """Return the least-squares method of a refit to convergence.
 
-    The criterion of n residuals of one output falls by n times the relative fall of their squares,
-    so it ends where that is a part of the smallest difference that tells two candidates apart. An
-    output with a small part of all squares may move the criterion by more.
+    For n residuals of one output, the criterion falls by n times the relative fall of their sum of
+    squares. The refit ends when this is a small part of the smallest difference that tells two
+    candidates apart. An output with a small part of the squares may change the criterion by more.
     """
     settled = SETTLED_REFIT * REFINEMENT.equal / max(fitter.size, 1)
     return replace(FIRST, max_iterations=15, ftol=min(BRIEFLY, settled))
 
 
 def refit_fully(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
-    """Refit to convergence; what cannot be stays as it is."""
+    """Refit models to convergence; a model whose refit fails is returned unchanged."""
     finished = fitter.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(fitter))
     return [new or old for new, old in zip(finished, fits, strict=True)]
 
 
 @dataclass(frozen=True)
 class RefittedCandidate:
-    """A structure, refitted: the proposal of a move.
+    """A refitted structure: the proposal of a move.
 
     Attributes
     ----------
     full
-        It was refitted to convergence.
+        Whether it was refitted to convergence.
     move
-        The part of the search that proposed it; None for the move that returns it.
+        The part of the search that proposed it; None means the move that returned it.
     """
 
     fitted: FittedModel = field(repr=False)
@@ -104,13 +104,13 @@ def best_first(
     *,
     full: bool = True,
 ) -> list[RefittedCandidate]:
-    """Return refits with their criteria, the best first."""
+    """Return refitted models with their criteria; the best comes first."""
     made = [RefittedCandidate(f, f.criterion(records), full, move) for f in fits]
     return sorted(made, key=lambda c: c.criterion)
 
 
 Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
-"""For each effect, by name, the model that brought it in and those that it won against."""
+"""By effect name: the model that introduced the effect, and the rivals that it was better than."""
 
 
 def refit(
@@ -123,19 +123,19 @@ def refit(
     further: bool = True,
     bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
-    """Refit the leading candidates; the best first.
+    """Refit the leading candidates; the best comes first.
 
     Parameters
     ----------
     current, ranking
-        The model that they are added to, and all candidates at it.
+        The model to which candidates are added, and the ranking of all candidates at this model.
     floor
-        Sum of squares that the noise alone would leave.
+        Sum of squares that noise alone would leave.
     further
-        Go on to candidates further back where the first do not close the gap to it: the larger an
-        effect, the less the score of a small one says.
+        Whether to try candidates of lower rank if the first ones do not close the gap to `floor`.
+        The score is computed for a small effect, so it says less about a large one.
     bound
-        What a structure must come down to. What cannot is refitted no further.
+        Criterion and sum of squares that a structure must reach; others are not refitted further.
     """
     count, trials = settings.refits, settings.trials
     growth = Growth(fitter, current, floor, bound)
@@ -157,7 +157,7 @@ def refit(
 
 
 def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
-    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    """Split steps: the first are two thirds by rank and one third by cost; then all others."""
     ranked = 2 * count // 3
     rest = sorted(steps[ranked:], key=lambda step: step.sse)
     return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
@@ -166,7 +166,7 @@ def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], lis
 @final
 @dataclass(frozen=True)
 class Growth:
-    """Refits of what a model may grow to, down to a bound.
+    """Refits of the structures that a model may be extended to, with a bound for pruning.
 
     `floor` is the sum of squares that the noise alone would leave.
     """
@@ -177,7 +177,7 @@ class Growth:
     bound: PruningBound
 
     def refit_steps(self, steps: Sequence[FirstStep]) -> list[RefittedCandidate]:
-        """Refit from first steps; the latter half only what may come near the best of the first."""
+        """Refit from first steps; the second half only if they may come near the best so far."""
         ordered = sorted(steps, key=lambda step: step.sse)
         half = (len(ordered) + 1) // 2
         fits = self.briefly([step.start for step in ordered[:half]])
@@ -186,16 +186,16 @@ class Growth:
         return self.successive_halving([*fits, *self.briefly(near)])
 
     def briefly(self, starts: Sequence[FitStart]) -> list[FittedModel]:
-        """Refit by one iteration; without those that cannot be simulated."""
+        """Refit by one iteration; models that cannot be simulated are left out."""
         return [f for f in self.fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
 
     def successive_halving(self, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
-        """Refit the better half of brief refits more, and the best to convergence; the best first.
+        """Refit the better half further and the best to convergence; the best comes first.
 
-        What has converged waits for the last round. What is far behind where one candidate does it
-        all is refitted no further, nor what can neither come near the best so far nor down to what
-        it must reach. Some candidates have further to go than others, as where a parameter must
-        make room for them: those that the linear model promises to become the best go on too.
+        Converged models wait for the last round. A model is not refitted further if it is far
+        behind one that closes the gap alone, or if it can reach neither the best so far nor the
+        bound. Some models need more iterations than others, for example if a parameter must first
+        change. So models whose predicted criterion is better than that of the best also continue.
         """
         fitter, records = self.fitter, self.fitter.records
         lost: list[FittedModel] = []
@@ -221,9 +221,10 @@ class Growth:
         return sorted(found, key=lambda c: c.criterion)
 
     def near_the_best(self, reached: Sequence[float], possible: Sequence[float]) -> list[int]:
-        """Positions of what may do a part of what the best does, where that closes the gap.
+        """Positions of models that may do a given part of what the best one does.
 
-        `reached` and `possible` are the sums of squares of each, as simulated, and at best.
+        If the best one does not close the gap, these are all positions. `reached` and `possible`
+        are the sums of squares of each model: as simulated, and the lowest that is possible.
         """
         best = min(reached, default=self.current.sse)
         done = self.current.sse - best
@@ -231,10 +232,10 @@ class Growth:
         return [i for i, sse in enumerate(possible) if self.current.sse - sse >= least]
 
     def rival_of_the_best(self, fits: Sequence[FittedModel]) -> PruningBound:
-        """What a fit must come down to, to be the best or its rival, where that closes the gap.
+        """Return the bound that a fit must reach to become the best or its rival.
 
-        Else none is far behind: what is a part of the truth may do less than what imitates all of
-        it.
+        The bound is stricter only if the best fit closes the gap. Otherwise a part of the true
+        structure may do less than a single effect that imitates the whole.
         """
         records, bound = self.fitter.records, self.bound
         best = min(fits, key=lambda f: f.criterion(records), default=self.current)
@@ -244,14 +245,14 @@ class Growth:
         return replace(bound, criterion=min(bound.criterion, rival))
 
     def closed_by(self, sse: float) -> bool:
-        """Return whether a sum of squares closes most of the gap to the noise."""
+        """Return whether a sum of squares closes most of the gap to the noise floor."""
         return self.current.sse - sse >= REFINEMENT.closes * (self.current.sse - self.floor)
 
 
 def _promising(
     records: StackedRecords, fits: Sequence[FittedModel], near: Sequence[int], kept: Sequence[int]
 ) -> list[int]:
-    """Positions of some that are not kept, though their next step promises more than the best's."""
+    """Positions of pruned models with a better predicted criterion than the kept ones."""
     if not kept:
         return []
     best = min(predicted_criterion(records, fits[i]) for i in kept)
@@ -261,7 +262,7 @@ def _promising(
 
 
 def most_parsimonious(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
-    """The best contender; among equals the one of plainest name, fewest unknowns, fewest states."""
+    """The best contender; among equals, the one with the simplest form and fewest unknowns."""
     best = contenders[0].criterion
     equal = [c for c in contenders if c.full and c.criterion - best < REFINEMENT.equal]
     equal = equal or list(contenders[:1])
@@ -277,7 +278,7 @@ def rivals_of(
     won: RefittedCandidate,
     contenders: Sequence[RefittedCandidate],
 ) -> Rivals:
-    """For each effect of a structure, those that the data leave possible in its place."""
+    """For each effect of a structure, the rivals that the data do not rule out in its place."""
     best = min((c.criterion for c in contenders), default=won.criterion)
     possible = [c for c in contenders if c.criterion - best <= REFINEMENT.alternative]
     found: dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]] = {}
@@ -294,7 +295,7 @@ def rivals_of(
 
 
 def ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
-    """The same structure, with one of its effects counted last."""
+    """The same structure, with the named effect moved to the last position."""
     added = contender.fitted.added
     if added[-1].effect.name == name:
         return contender
@@ -309,9 +310,9 @@ def refit_pairs(
     floor: float,
     bound: PruningBound,
 ) -> list[RefittedCandidate]:
-    """Refit the best pairs; the best first. A contender's last two effects are the pair.
+    """Refit the best pairs; the best comes first. The pair is the last two effects of a contender.
 
-    Those that the linear model does not let hope to be useful are left out.
+    Pairs that cannot become useful according to the linear model are left out.
     """
     asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
     growth = Growth(fitter, current, floor, bound)
@@ -320,11 +321,11 @@ def refit_pairs(
 
 
 def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tuple[int, int]]:
-    """Pairs of trials of different candidates by the share of the residual that they carry.
+    """Pairs of trials of different candidates, sorted by the share of the residual they explain.
 
-    Of all pairs at the same two places the best one stands for the others: forms of one argument at
-    one site are much alike, and the more of them are tried, the sooner would they crowd out all
-    other places. A candidate that carries little alone may carry much beside another.
+    At each two places, only the best pair is used. Forms of one argument at one site are similar,
+    so with many forms tried, their pairs would displace all other places. A candidate that explains
+    little alone may explain much together with another.
     """
     scores = ranking.plain
     usable = [
@@ -360,7 +361,7 @@ def _start_of_pair(
     pair: tuple[int, int],
     bound: PruningBound,
 ) -> FitStart | None:
-    """Both effects, with the strengths of the joint linear step; None if of no use."""
+    """Start with both effects, at the strengths of the joint linear step; None if not useful."""
     _, strengths, after = joint_step(current, ranking, pair)
     start = current.start
     for m, own in zip(pair, strengths, strict=True):

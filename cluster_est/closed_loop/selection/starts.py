@@ -1,8 +1,8 @@
 """Fits from several starts, so that a local minimum is not mistaken for a missing effect.
 
-If the fit from the user's start does not reach the noise, other starts grow
-through longer and longer parts of every record: on a short part the cost has few minima, and what
-is found there lies near the right one on a longer part.
+If the fit from the user's start does not reach the noise, other starts are fitted to increasing
+parts of every record. On a short part, the cost has few minima, and the one found lies near the
+right one on a longer part.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class DeclaredModelThresholds:
     Attributes
     ----------
     spread
-        Of the starts around the user's: in logarithms, or as a share of a value. Benchmark.
+        Distance of other starts from the user's: in logarithms, or relative to a value. Benchmark.
     survivors
-        Starts that go on after each horizon. Benchmark.
+        Number of starts that are kept after each horizon. Benchmark.
     distinct
-        Relative distance of two fits that count as different. Benchmark.
+        Relative distance from which two fits count as different. Benchmark.
     """
 
     spread: float = 0.35
@@ -55,15 +55,15 @@ BRIEF = LeastSquares(trials=1, max_iterations=8, ftol=1e-4, xtol=1e-5, differenc
 def fit_declared(
     fitter: Fitter, start: FitStart, count: int, known: FittedModel | None = None
 ) -> FittedModel:
-    """Fit from the user's start, and from some others unless that reaches the noise.
+    """Fit from the user's start, and from other starts if this fit does not reach the noise.
 
-    With process noise it is the one start: a filter follows what is measured from wherever it
-    stands, so that there is no growing along a record.
+    With process noise, only the user's start is used: a Kalman filter follows the measurements from
+    any start, so a short part of a record is not easier to fit.
 
     Parameters
     ----------
     known
-        The fit from the user's start, where there is one.
+        The fit from the user's start, if it is known.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def fit_declared(
 
 
 def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
-    """Return whether the residual is as small as its own roughness says it can be."""
+    """Return whether the residual of each output is about as small as its estimated noise."""
     most = np.sqrt(VERDICT.gap) * noise_of(fitter, fitted.residuals)
     parts = fitter.records.by_output(fitted.residuals)
     return not any(
@@ -96,7 +96,7 @@ def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
 
 
 def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | None]:
-    """Several starts through the horizons to the full records."""
+    """Fit several starts to increasing parts of the records, and at last to the full records."""
     starts = _spread(fitter, start, count)
     for horizon, survivors in zip(SHORTENED, DECLARED_MODEL.survivors, strict=True):
         fits = fitter.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
@@ -109,8 +109,8 @@ def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | Non
 
 
 def _spread(fitter: Fitter, start: FitStart, count: int) -> list[FitStart]:
-    """The user's start, and points of a Sobol sequence around it for the shared values."""
-    from scipy.stats import qmc  # slow to import, and only a fit that misses the noise asks for it
+    """The user's start, and points of a Sobol sequence around it in the shared unknowns."""
+    from scipy.stats import qmc  # slow to import, and needed only if a fit misses the noise
 
     space = fitter.space(start)
     sensors = {i for sensor in unstarted_sensors(space) for i in sensor.unknowns}
@@ -130,7 +130,7 @@ def _moved(space: SearchSpace, shared: Sequence[int], row: FloatArray) -> FloatA
 
 
 def _distinct(fits: Sequence[FittedModel]) -> list[FittedModel]:
-    """Fits at different points, the best of each."""
+    """Return fits at different points; of fits at the same point, only the best."""
     kept: list[FittedModel] = []
     for fit in fits:
         sizes = longest_step(fit.space, fit.x, DECLARED_MODEL.distinct)
