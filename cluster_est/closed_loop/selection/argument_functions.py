@@ -60,6 +60,7 @@ from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     RoundEnd,
     RoundStart,
+    can_be_claimed,
     claimable_sse,
     may_leave_noise,
 )
@@ -273,8 +274,9 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
 
     It is tried only if the accepted effects leave more than noise. The new effect is a free curve,
     a free filter, or a form of the library to which one leads. It must predict better and fit
-    better, also under the assumption of coloured noise. For a curve or a filter, the criterion must
-    also improve by the penalty for a choice among all pairs.
+    better, also under the assumption of coloured noise. A curve or a filter must also
+    close enough of the gap for a claim, and improve the criterion by the penalty for a choice among
+    all pairs: what follows a disturbance a little better is no reason to start again from there.
 
     Parameters
     ----------
@@ -293,11 +295,14 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     coarse = coarse_curves(fitter, first)
     named = refit_named(fitter, first, coarse)
     coarse += switched_curves(fitter, first)
-    bound = first.bound(criterion=current.criterion(records))
+    bound = first.bound(
+        current.criterion(records), claimable_sse(first, first.settings.max_effects)
+    )
     finer = finer_curves(fitter, first, coarse, bound)
     filters = refit_filters(fitter, first, bound)
     named += refit_named(fitter, first, filters)
-    curves = sorted([*coarse, *finer, *filters], key=lambda c: c.criterion)
+    curves = [c for c in (*coarse, *finer, *filters) if can_be_claimed(first, c.fitted)]
+    curves.sort(key=lambda c: c.criterion)
     price = SELECTION.pair_price * float(np.log(first.screening.count))
 
     def fits_better(contender: RefittedCandidate, least: float) -> bool:
