@@ -33,8 +33,8 @@ WORSE_THERE = 2.0
 The first part is preferred, because the initial states of other parts are unknown."""
 
 BY_CHANCE = 4.0
-"""If a sum of squares exceeds that of noise by fewer standard errors than this, the excess counts as
-chance."""
+"""If a sum of squares exceeds that of noise by fewer standard errors than this, the excess counts
+as chance."""
 
 INFORMED = 0.2
 """Least information of the windows on any combination of unknowns, as a share of all information,
