@@ -69,8 +69,8 @@ NOISE_DIFFERENCE_ORDER = 4
 """Order of the differences; they remove everything that is cubic over five samples."""
 
 HIGHER = (4, 6, 8)
-"""Orders that are compared where the signal moves. White noise gives the same estimate for all
-orders. Structure with more than six samples per period gives smaller estimates for higher orders."""
+"""Orders that are compared where the signal moves. With white noise, all orders give the same
+estimate. With structure of more than six samples per period, higher orders give smaller ones."""
 
 BLOCK = 32
 """Samples of a block; enough to decide from its range whether the signal moves or is at rest."""
