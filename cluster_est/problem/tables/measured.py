@@ -30,7 +30,7 @@ SAME_TIME = 1e-9
 
 @dataclass(frozen=True)
 class ColumnChange:
-    """A change of unit and times: column * factor + offset, with `demean` after removal of the mean.
+    """A change of unit and times: column * factor + offset; `demean` first removes the mean.
 
     `late` is the delay of a column: it was measured by so many seconds earlier than its times say.
     """
