@@ -1,6 +1,6 @@
-"""The account of a search: the last fits, the check on held-out data, and the result in words.
+"""The end of a search: the last fits, the check on held-out data, and the result in words.
 
-After each round it also makes a preliminary result, in case the search is interrupted.
+A preliminary result is also made after each round, in case the search is interrupted.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ from cluster_est.uncertainty import examine
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
 STRAIGHT_STEPS = 3
-"""Iterations of the first fit to all rows, which has no logarithmic parameters. The fit whose
-result is reported follows it."""
+"""Iterations of the first fit to all rows, which uses no logarithms of parameters. A second fit
+follows; its result is reported."""
 
 NOT_ALLOWED_FOR = (
     "the confidence intervals account only for the noise, but the remaining error is larger than "
@@ -78,10 +78,10 @@ NOT_ALLOWED_FOR = (
 
 @dataclass(frozen=True)
 class LastFits:
-    """The last fits of the declared model and of the model with the effects, and their errors.
+    """The last fits of the declared model and of the model with effects, and their errors.
 
-    If nothing was added, `before` and `after` are the same fit. `noise` has the strengths of the
-    process noise in both fits.
+    If no effect was added, `before` and `after` are the same fit. `noise` contains the strengths of
+    the process noise in both fits.
     """
 
     before: Result = field(repr=False)
@@ -104,8 +104,8 @@ def last_fits_to_all_rows(
 ) -> LastFits:
     """Fit both models to all rows, from the best values on thinned records (`best_on_few_rows`).
 
-    The first steps use no logarithms of parameters either (see `_straight_fits`): along a valley of
-    the cost, the best values for all rows may be several standard errors away.
+    The first steps also use no logarithms of parameters (see `_straight_fits`), because the best
+    values for all rows may be several standard errors away along a valley of the cost.
     """
     experiments = fitter.problem.experiments
     moved = [
@@ -123,8 +123,8 @@ def best_on_few_rows(
     """Fit both models to convergence on thinned records, as the start of a fit to all rows.
 
     The time of an iteration is proportional to the number of rows, so most iterations are done on
-    the thinned records. For each model, the result has a start with the fitted values, and the fit.
-    For a model that cannot be simulated, it has the unchanged start and None.
+    the thinned records. For each model, the result contains a start with the fitted values, and the
+    fit. If a model cannot be simulated, these are the unchanged start and None.
     """
     return _straight_fits(fitter, starts, _of_many_rows(fitter.size))
 
@@ -135,8 +135,8 @@ def _straight_fits(
     """Fit with the parameters themselves as unknowns, without logarithms.
 
     If the data can hardly distinguish two terms, such as two dampings, the cost has a valley along
-    which their sum is constant. In the values this valley is straight. In the logarithms it is
-    curved, and the fit would follow it in many short steps.
+    which their sum is constant. As a function of the parameters, this valley is straight. As a
+    function of their logarithms, it is curved, and the fit would need many short steps.
     """
     found: list[tuple[FitStart, FittedModel | None]] = []
     for start in starts:
@@ -168,8 +168,8 @@ def _fitted_from(
 class LastAnswer:
     """An answer of a search after its last fits, with the verdict on the training experiments.
 
-    A search has several possible answers. `number` says which of them this is, and `against` says
-    why the ones before it were refused.
+    A search has several possible answers. `number` is the index of this answer. `against` says why
+    the answers before it were refused.
     """
 
     found: SelectionResult = field(repr=False)
@@ -213,7 +213,7 @@ def last_answer(
 
 
 def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
-    """Check what was found on the held-out experiments, and put the result into words."""
+    """Check the answer on the held-out experiments, and return the result with its texts."""
     found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
     judgement = confirmed(answer.judged, fits.errors, found.settings)
@@ -250,7 +250,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     named = describe_effects(fitter, found, grown, curves)
     if not named and judgement.verdict is Verdict.UNEXPLAINED:
         named = _best_tried(fitter, found)
-    if not fitter.predicts:  # the benchmark has hardly any claims under process noise
+    if not fitter.predicts:  # the benchmark has hardly any claims with process noise
         errors = over_noise(fits.errors, judgement.noise)
         declared = fitter.sigma_declared
         named = with_claims(named, errors, compared, declared=declared, claimed=keep)
@@ -287,14 +287,14 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
 
 
 def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ...]:
-    """Return the effects of the best set that was tried, for a search that accepted none."""
+    """Return the effects of the best set that was tried, if a search accepted none."""
     tried = (fit for fit in leading_models(fitter, found, 2) if fit.added)
     best = next(tried, None)
     return () if best is None else describe_untested(fitter, best)
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
-    """Return the compared structures; with probabilities if only noise is left."""
+    """Return the compared structures, with probabilities if the residual is only noise."""
     if verdict is not Verdict.FOUND:
         return found.path
     return with_probabilities(found.path, choice_price(found))
@@ -306,7 +306,7 @@ def _with_errors(
     compared: tuple[ComparedStructure, ...],
     before: Result,
 ) -> tuple[ComparedStructure, ...]:
-    """Return the structures with the errors of the accepted ones, which are only reported."""
+    """Add errors to the accepted structures, only for the report."""
     errors = {}
     for each in found.accepted[1:]:
         held_out = np.nan
@@ -329,7 +329,7 @@ def _unexplained(
     """Describe the unexplained part of the residual, if the verdict says that there is one."""
     if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED) or not found.steps:
         return ()
-    if fitter.predicts:  # innovations contain no part with a size of its own beyond the noise
+    if fitter.predicts:  # in innovations, an unexplained part has no size apart from the noise
         return ()
     outputs = residual_noise(fitter, fitted, found.noise)
     noise = believed_noise(fitter, outputs, found.noise)
@@ -350,7 +350,7 @@ def _disturbance(
     unexplained: Sequence[UnexplainedResidual],
     begun: Sequence[InitialError],
 ) -> tuple[str, ...]:
-    """Give the size and period of the unexplained part, or name a wrong initial state."""
+    """Return sentences on the unexplained part's size and period, or on a wrong initial state."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
     if begun:
@@ -363,7 +363,7 @@ def _disturbance(
 
 
 def _nothing_tried(found: SelectionResult, sites: tuple[str, ...]) -> tuple[str, ...]:
-    """Say that no effect could be tried, if that is the case."""
+    """Return a note if no effect could be tried."""
     if not found.steps or found.steps[0].screening.ranking.trials:
         return ()
     settings = found.settings
@@ -381,7 +381,7 @@ def _notes(
     fitted: FittedModel,
     after: Result,
 ) -> tuple[str, ...]:
-    """Return the notes on the result."""
+    """Return the notes on shared arguments, unexplained residuals and the estimates."""
     notes = shared_arguments(fitted.added)
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
@@ -394,8 +394,8 @@ def _notes(
 def _of_many_rows(count: int) -> LeastSquares:
     """Return the method of the last fits to `count` residuals, if simulations take long.
 
-    It ends when its steps are below a tenth of the standard errors. The error of forward
-    differences is negligible compared with that.
+    The fit ends when its steps are below a tenth of the standard errors. Compared with this limit,
+    the error of forward differences is negligible.
     """
     ftol = max(FINAL.ftol, 0.25 * NOTICEABLE / count)
     return replace(FINAL, ftol=ftol, differences="forward", secant_updates=5)
@@ -453,7 +453,7 @@ def result_so_far(
     scope: LoopScope,
     said: str = "",
 ) -> LoopResult | None:
-    """Return the best structure that was accepted so far as a result; None if it has no result.
+    """Return a preliminary result with the best structure so far; None if this fails.
 
     Its simulations are neither counted nor logged, so that the rest of the run does not depend on
     them. `said` is a note on the records that the search uses; "" for none.
@@ -477,7 +477,7 @@ def result_so_far(
 
 
 def _as_it_is(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
-    """Return the result of a fit of the search, for which it is simulated once more."""
+    """Return the result of a fit of the search; the model is simulated once more."""
     space, runner = fitted.space, fitter.runner
     values = space.physical(fitted.x)
     effects = fitted.problem.effects

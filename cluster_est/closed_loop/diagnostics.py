@@ -43,21 +43,21 @@ class DetectionResult:
         Probability that, with noise alone, some candidate explains as much as the best one does.
     p_white
         The same probability after the residual and the candidates were whitened. It is not small if
-        the noise is only autocorrelated.
+        the residual is only autocorrelated noise.
     p_structure
         The same probability for any smooth structure of the residual, without candidates.
     candidates
-        Number of candidates that were compared, without those that a parameter can imitate.
+        Number of compared candidates, without those that a parameter can imitate.
     noise, rms
         Estimated standard deviation of each output's noise, and root mean square of its residual,
         in the output's unit.
     significance
-        Level with which the p-values are compared.
+        Significance level with which the p-values are compared.
     numerical_error
-        Why effects cannot be distinguished from the error of the solver or its step; empty if this
+        Why effects cannot be distinguished from the numerical error of the solver; empty if this
         error is small.
     notes
-        Sentences on this error, if it is not negligible or could not be measured.
+        Sentences on the numerical error, if it is not negligible or could not be measured.
     """
 
     p: float
@@ -72,7 +72,7 @@ class DetectionResult:
 
     @property
     def missing(self) -> bool:
-        """Whether some candidate explains more than noise or the solver's error could."""
+        """Whether some candidate explains more than noise or the numerical error could."""
         return max(self.p, self.p_white) <= self.significance and not self.numerical_error
 
     @property
@@ -145,9 +145,9 @@ def locate(
 ) -> tuple[CandidateEvidence, ...]:
     """Fit a problem and rank the candidates for a missing effect.
 
-    The ranking uses the change of the outputs by a very small effect. So it is a hint, not a
-    decision: a large effect may change the outputs differently. `close_loop` simulates and refits
-    the best candidates. Candidates that the declared parameters can imitate come last.
+    The ranking uses the change of the outputs by a very small effect. A large effect may change the
+    outputs differently, so the ranking is only a hint. `close_loop` simulates and refits the best
+    candidates. Candidates that the declared parameters can imitate come last.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def add_effect(
 
     Strengths start at the value at which the effect has no influence. Some coefficients have no
     such value, like a width, or are divisors, like the time constant of a lag. Their start values
-    are derived from the size of the signals, for which each training experiment is simulated at the
+    are derived from the size of the signals. For this, each training experiment is simulated at the
     problem's start values. Coefficients that a search does not estimate, like the width of a
     switch, are fixed.
 
@@ -214,7 +214,7 @@ def add_effect(
     Raises
     ------
     ClusterEstError
-        If the site is closed, form or equation are wrong, or a coefficient has no start.
+        If the site is closed, the form or equation is wrong, or a coefficient has no start value.
     """
     check_problem(problem)
     check_name(site, "effect.site", EffectError)
@@ -257,7 +257,7 @@ def _checked_request(
     settings: LoopSettings | Mapping[str, Any] | None,
     seed: int,
 ) -> LoopRequest:
-    """What a user has handed over, checked as a config is."""
+    """Check a user's arguments like a config, and return them as a request."""
     problem, chosen = prepared(problem), LoopSettings.of(settings)
     check_arguments(problem, chosen, seed)
     return LoopRequest(problem, RunEnvironment(checked_resources(resources)), chosen, seed)
@@ -265,7 +265,7 @@ def _checked_request(
 
 @contextmanager
 def _fitted(request: LoopRequest) -> Iterator[tuple[Fitter, FittedModel, NumericalError]]:
-    """The declared model fitted, and how exact its simulations are there."""
+    """Yield a fitter, the fitted declared model, and the numerical error of its simulations."""
     refuse_process_noise(request.problem, "detect and locate")
     with open_checked_workbench(request) as workbench:
         fitter, start = workbench.fitter, FitStart(workbench.fitter.problem, {})
@@ -276,7 +276,7 @@ def _fitted(request: LoopRequest) -> Iterator[tuple[Fitter, FittedModel, Numeric
 
 
 def _starts(given: Mapping[str, float] | None) -> dict[str, float]:
-    """Starts of coefficients as they are given, each a number."""
+    """Return the start values of coefficients, after a check that each is a number."""
     advice = "; write {coefficient: value}"
     check_kind({} if given is None else given, Mapping, "effect.start", EffectError, advice)
     for name, value in (given or {}).items():
@@ -286,7 +286,7 @@ def _starts(given: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def _form_at(problem: Problem, site: str, form: str, where: str) -> tuple[EffectSite, EffectForm]:
-    """The site and the form that a user names, checked."""
+    """Return the site and the form that a user names, after a check."""
     place = parse_site(site, f"{where}: site")
     check_site(place, problem.describe(), problem.model.interface, f"{where}: site")
     return place, find_form(place.kind, form, where)
@@ -298,7 +298,7 @@ def _sized(
     about: tuple[str, ...],
     missing: Sequence[FormCoefficient],
 ) -> dict[str, float]:
-    """Starts from the middle of the grids that a search would look at, where there are any."""
+    """Return start values: the middle of each coefficient's grid in a search, if it has a grid."""
     with open_workbench(LoopRequest(problem)) as workbench:
         fitter = workbench.fitter
         space = fitter.space(FitStart(fitter.problem, {}))
@@ -310,5 +310,5 @@ def _sized(
 
 
 def _p(p: float) -> str:
-    """Not 0, which only says that the number is too small for a double."""
+    """Write a p-value; a value of 0 only means that it is too small for a double."""
     return f"p = {p:.2g}" if p > 0.0 else "p < 1e-300"

@@ -1,7 +1,7 @@
-"""Numerical error: the part of a residual that comes from the solver and its steps.
+"""Numerical error: the part of a residual that the solver and its step size cause.
 
-No effect may explain this part. It is measured with a fitted model, by a second simulation of the
-same experiments with a finer solver setting.
+No effect may explain this part. To measure it, the experiments are simulated a second time with the
+fitted model and a finer solver setting.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ class NumericalErrorThresholds:
     Attributes
     ----------
     small
-        Error over noise up to which the error is not reported. Theory: with about 2,500 samples,
-        its sum of squares is then 6 times the variance of the noise. This is less than the penalty
-        for the choice among the candidates, see `SelectionThresholds.choice_price`.
+        Ratio of error to noise; up to this ratio the error is not reported. Theory: with about
+        2,500 samples, its sum of squares is then 6 times the variance of the noise. This is less
+        than the penalty for the choice among the candidates (`SelectionThresholds.choice_price`).
     large
-        Error over noise above which there is no search for effects. Theory: an error with a quarter
-        of the noise's variance and the same shape in every experiment looks like an effect.
+        Ratio of error to noise; above this ratio there is no search for effects. Theory: an error
+        with a quarter of the noise's variance and the same shape in each experiment looks like an
+        effect.
     share
-        Error over residual up to which even a large error does not prevent the search, because most
-        of the residual has other causes. By definition: a hundredth of the squared residual.
+        Ratio of error to residual; up to this ratio even a large error does not prevent the search,
+        because the residual has mostly other causes. By definition: 1 % of the squared residual.
     known
-        Factor by which the error may be larger than the measured one. Theory: an error of first
-        order is twice the change of the outputs when the step is halved.
+        Factor by which the true error may exceed the measured error. Theory: for a first-order
+        method, the error is twice the change of the outputs when the step is halved.
     loose
         Relative tolerance above which the error is always reported. By definition.
     """
@@ -56,7 +57,7 @@ NUMERICAL_ERROR = NumericalErrorThresholds()
 
 
 LEAST_ORDER, MOST_ORDER = 1.0, 4.0
-"""Limits of a plausible convergence order; with events and kinks, the observed order is wrong."""
+"""Limits of the convergence order; events and kinks can make the observed order wrong."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +69,16 @@ class NumericalError:
     scale
         The setting that determines the accuracy of the solver.
     rms, noise, residual : (outputs,)
-        Root mean squares of each output's numerical error, noise and residual, in units of its
+        Root mean squares of each output's numerical error, noise and residual, in the unit of the
         residual.
     squares
         Sum of the squared numerical errors of all residuals.
     order
         Convergence order of the step, observed or assumed; NaN if a tolerance sets the accuracy.
     why_not
-        Part of a sentence: why the error could not be measured. The arrays are empty then.
+        Part of a sentence: why the error could not be measured; the arrays are then empty.
     beside
-        Other sentences on the solver.
+        Other notes on the solver.
     """
 
     scale: SolverScale
@@ -92,7 +93,7 @@ class NumericalError:
 
     @property
     def ratios(self) -> FloatArray:
-        """(outputs,): the error over the noise; 0 if the residual or the error is 0."""
+        """The error over the noise: (outputs,); 0 if the residual or the error is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = self.rms / self.noise
         return np.where((self.rms > 0.0) & (self.residual > 0.0), ratios, 0.0)
@@ -104,7 +105,7 @@ class NumericalError:
 
     @property
     def explainable(self) -> float:
-        """Decrease of the sum of squares that the numerical error could cause."""
+        """The largest decrease of the sum of squares that the numerical error could cause."""
         return NUMERICAL_ERROR.known**2 * self.squares
 
     @property
@@ -119,7 +120,7 @@ class NumericalError:
 
     @property
     def refusal(self) -> str:
-        """A sentence: why there is no search for effects."""
+        """The reason why there is no search for effects, as a sentence."""
         return (
             f"{self._said}, so a missing effect cannot be distinguished from this error: set "
             f"{self._advice} first, then run again"
@@ -127,7 +128,7 @@ class NumericalError:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the reader; none if the error is small, as usual."""
+        """Notes on the error of the declared model; usually none, because the error is small."""
         if self.why_not:
             cannot = (
                 f"the numerical error of {self.scale.name} could not be measured: {self.why_not}; "
@@ -150,7 +151,7 @@ class NumericalError:
 
     @property
     def notes_with_effects(self) -> tuple[str, ...]:
-        """Sentences on the error of a model with effects; none where it is small."""
+        """Notes on the error of a model with effects; none if the error is small."""
         if not self.ratio > NUMERICAL_ERROR.small:
             return ()
         refused = (
@@ -168,7 +169,7 @@ class NumericalError:
         output = self.outputs[largest]
         figure = f"{self.ratio:.2g}" if self.ratio < 100.0 else f"{self.ratio:.0f}"
         size = f"{figure} times the noise"
-        if not np.isfinite(self.ratio):  # there is none
+        if not np.isfinite(self.ratio):  # there is no noise
             size = f"{self.rms[largest] / self.residual[largest]:.2g} times the remaining residual"
         how = "" if np.isnan(self.order) else f"; convergence order {self.order:.2g}"
         return f"{self.scale.name} causes an error of {size} (at {output}{how})"
@@ -177,17 +178,17 @@ class NumericalError:
     def _advice(self) -> str:
         factor = self.ratio / NUMERICAL_ERROR.small
         factor = factor if np.isfinite(factor) else 1.0 / NUMERICAL_ERROR.small
-        if not self.scale.step:  # a looser tolerance than is usual is never the advice
+        if not self.scale.step:  # never advise a tolerance looser than usual
             factor = max(factor, self.scale.rtol / NUMERICAL_ERROR.loose)
         return self.scale.advice(factor, self.order)
 
 
 def observed_order(first: FloatArray, second: FloatArray, ratio: float) -> float:
-    """Order of a step, from the differences of three solutions whose steps have one ratio.
+    """Return the convergence order from the differences of solutions with steps h, h/q and h/q^2.
 
-    With an error C h^p the differences y(h) - y(h/q) and y(h/q) - y(h/q^2) have the ratio q^p
-    (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357, doi:10.1098/rsta.1911.0009). It is
-    believed between 1 and 4, and 1 where they do not fall.
+    With an error C h^p, the differences y(h) - y(h/q) and y(h/q) - y(h/q^2) have the ratio q^p
+    (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357, doi:10.1098/rsta.1911.0009). The
+    order is limited to 1 to 4. It is 1 if the second difference is not smaller than the first.
     """
     sizes = [float(np.sqrt(np.add.reduce(each**2))) for each in (first, second)]
     if not sizes[1] > 0.0:
@@ -198,12 +199,12 @@ def observed_order(first: FloatArray, second: FloatArray, ratio: float) -> float
 
 
 def extrapolated(difference: FloatArray, ratio: float, order: float) -> FloatArray:
-    """Error of the coarser of two solutions, from y(h) - y(h/q) = (1 - q^-p) C h^p."""
+    """Return the error of the coarser of two solutions: y(h) - y(h/q) = (1 - q^-p) C h^p."""
     return np.asarray(difference / (1.0 - ratio**-order))
 
 
 class _NoSolutionError(Exception):
-    """A finer solver could not simulate an experiment; its text says why."""
+    """A finer solver setting failed to simulate an experiment; the text says why."""
 
 
 def measure_numerical_error(
@@ -211,17 +212,17 @@ def measure_numerical_error(
 ) -> NumericalError:
     """Measure the numerical error of a fitted model, with a finer solver setting.
 
-    With a fixed step, the step is halved. If the outputs then change by more than a small part of
-    the noise, it is halved again: the second change shows the convergence order, and extrapolation
-    gives the error of the original step (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911)
-    307-357, doi:10.1098/rsta.1911.0009). For first order, this error is twice the first change.
-    With a tolerance, the tolerance is divided by 100, and the longest step halved. The change of
-    the outputs is then the error itself, up to a few hundredths (E. Hairer, S. P. Norsett, G.
-    Wanner, Solving Ordinary Differential Equations I, section II.4,
-    doi:10.1007/978-3-540-78862-1).
+    A fixed step is halved. If the outputs then change by more than a small part of the noise, it is
+    halved again. The second change shows the convergence order, and extrapolation gives the error
+    of the original step (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357,
+    doi:10.1098/rsta.1911.0009). For a first-order method, this error is twice the first change.
 
-    The simulations run one after the other in a separate process, whatever the executor. They are
-    not logged, because a log is for one solver setting.
+    A tolerance is divided by 100, and the longest step is halved. The change of the outputs then
+    equals the error within a few per cent (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary
+    Differential Equations I, section II.4, doi:10.1007/978-3-540-78862-1).
+
+    The simulations run one after the other in a separate process, with any executor. They are not
+    logged, because a log is for only one solver setting.
 
     Parameters
     ----------
@@ -260,12 +261,12 @@ def error_with_effects(
     noise: FloatArray,
     resources: Resources,
 ) -> NumericalError:
-    """Measure the numerical error of a model with effects, if a fixed step determines it.
+    """Measure the numerical error of a model with effects, if a step size determines it.
 
     A step that is short enough for the declared model may be too long for an effect with kinks,
     because a changed input is interpolated linearly between two communication points. The error of
-    the declared model is returned if nothing was added, if a tolerance determines the error, or if
-    the measured error is not larger.
+    the declared model is returned if there are no effects, if a tolerance determines the error, or
+    if the measured error is not larger.
     """
     if not fitted.added or not declared.scale.step:
         return declared
@@ -280,7 +281,7 @@ def _error(
     scale: SolverScale,
     resources: Resources,
 ) -> tuple[FloatArray, float]:
-    """The numerical error of each residual, and the order of the step."""
+    """Return the numerical error of each residual, and the convergence order of the step."""
     once = _residuals(fitter, fitted, scale.finer(), resources)
     first = fitted.residuals - once
     if not scale.step:
@@ -302,7 +303,7 @@ def _error(
 def _residuals(
     fitter: Fitter, fitted: FittedModel, solver: Solver, resources: Resources
 ) -> FloatArray:
-    """The residuals of the training experiments with another solver."""
+    """Return the residuals of the training experiments with another solver setting."""
     runs = fitter.runs
     values = fitted.space.physical(fitted.x)
     outcomes = simulate_with_solver(
@@ -316,6 +317,6 @@ def _residuals(
 
 
 def _rms(fitter: Fitter, stacked: FloatArray) -> FloatArray:
-    """Root mean square of each output, over all training experiments."""
+    """Return the root mean square of each output over all training experiments."""
     parts = fitter.records.by_output(stacked)
     return np.array([float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in parts])

@@ -1,4 +1,4 @@
-"""A robust first pass: outliers are left out before the search, and notes say what is unusual."""
+"""Outliers and noise that grows with the signal: both are detected before the search."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from cluster_est.toml import dotted
 from workers.messages import FloatArray, Output
 
 MOST_OUTLIERS = 0.05
-"""Largest share of an output's samples that may be left out as outliers. Signal: a sensor with a
-fault in more than 1 of 20 samples is not usable as a sensor."""
+"""Largest share of an output's samples that may be left out as outliers. Signal: a sensor with
+faults in more than 1 of 20 samples is not usable."""
 
 EXACT = 1e-5
 """Least noise that the search for outliers assumes, as a share of the output's range. Signal:
-simulations are hardly more exact, and a simulation error is not a sensor fault."""
+simulations are hardly more accurate, and a simulation error is not a sensor fault."""
 
 
 NOISE_GROWTH = 2.0
-"""Least ratio of the noise at large values of a signal to the noise at small values for which
-there is a note. Theory: if sigma is wrong by a factor of 2, least squares loses a third of its
-efficiency; if sigma is wrong by less, it loses little."""
+"""Least ratio, for a note, of the noise at large values of a signal to the noise at small values.
+Theory: if sigma is wrong by a factor of 2, least squares loses a third of its efficiency; with a
+smaller error, it loses little."""
 
 NOISE_GROWTH_P = 1e-6
-"""Largest p-value for which there is such a note. Theory: among a thousand outputs, the
-probability of a false note is 0.001."""
+"""Largest p-value for a note on growing noise. Theory: among a thousand outputs, the probability of
+a false note is 0.001."""
 
 Place = tuple[int, str]
 """Index of an experiment, and name of one of its outputs."""
@@ -53,14 +53,14 @@ Place = tuple[int, str]
 Mask = npt.NDArray[np.bool_]
 
 CHANCE_OF_JUMPS = 0.01
-"""If the probability is above this value, outliers just after jumps of inputs count as chance."""
+"""Probability above which it counts as chance that outliers follow jumps of inputs."""
 
 
 @dataclass(frozen=True)
 class OutliersOfOutput:
     """The outliers of one output in all training experiments, or in all held-out experiments.
 
-    `found` has them by the index of the experiment.
+    The keys of `found` are the indices of the experiments.
     """
 
     output: str
@@ -77,12 +77,12 @@ class OutliersOfOutput:
 
     @property
     def few(self) -> bool:
-        """Whether there are so few that they may be sensor faults and not part of the signal."""
+        """Whether there are so few outliers that they may be sensor faults."""
         return self.count <= MOST_OUTLIERS * self.samples
 
     @property
     def sentence(self) -> str:
-        """Return a sentence: how many there are, how large they are, and whether they are used."""
+        """The number and size of the outliers, and whether they were left out, as a sentence."""
         largest = max(each.largest for each in self.found.values())
         held = "held-out " if self.held_out else ""
         of = f"{100.0 * self.count / self.samples:.2g} % of the {held}samples of {self.output}"
@@ -120,8 +120,8 @@ def open_checked_workbench(
     samples. An output with too many outliers keeps all its samples. If the noise of an output grows
     with its signal, each sample gets its own sigma (`growing_noise`).
 
-    In the outputs of thinned records (`thinned`), no outliers are looked for. Each of their rows is
-    made of many samples, whose outliers were left out before. A single row that differs from its
+    Outputs of thinned records (`thinned`) are not searched for outliers. Each of their rows is made
+    of many samples, whose outliers were left out before. A single row that differs from its
     neighbours shows only that the output changes fast there.
     """
     with open_workbench(request) as workbench:
@@ -149,7 +149,7 @@ def _noted(scope: LoopScope, notes: Sequence[str]) -> LoopScope:
 
 
 def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
-    """Return the problem with copies of its experiments without these samples."""
+    """Return the problem with copies of its experiments that do not contain these outliers."""
     masks = _masks(outliers)
 
     def change(e: int, output: Output) -> Output:
@@ -162,9 +162,9 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
 
 
 def without_stand_ins(problem: Problem) -> Problem:
-    """Return the problem without numbers that stand for a missing measurement, such as -9999.
+    """Return the problem without numbers that mark missing measurements, such as -9999.
 
-    A search that fits such numbers finds no effect.
+    A search cannot find effects if a fit uses such numbers.
     """
 
     def change(_: int, output: Output) -> Output:
@@ -178,7 +178,7 @@ def without_stand_ins(problem: Problem) -> Problem:
 def samples_left_out(measured: Problem, used: Problem) -> dict[str, dict[str, list[float]]]:
     """Return the times of the samples that were measured but not used, by record and output.
 
-    The key `left_out` of an experiment takes these times.
+    They can be written into the key `left_out` of an experiment.
     """
     found: dict[str, dict[str, list[float]]] = {}
     for run, kept in zip(measured.experiments, used.experiments, strict=True):
@@ -191,11 +191,11 @@ def samples_left_out(measured: Problem, used: Problem) -> dict[str, dict[str, li
 
 
 MOST_WRITTEN = 12
-"""Largest number of times of samples in a note."""
+"""Largest number of sample times that a note lists."""
 
 
 def left_out_sentence(left_out: Mapping[str, Mapping[str, Sequence[float]]]) -> tuple[str, ...]:
-    """Say with which keys a fit leaves out the same samples; nothing if none were left out."""
+    """Say with which keys a fit leaves out the same samples; () if no sample was left out."""
     if not left_out:
         return ()
     keys = [
@@ -214,10 +214,10 @@ def left_out_sentence(left_out: Mapping[str, Mapping[str, Sequence[float]]]) -> 
 
 
 def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutput]:
-    """Return the outliers in records that will be thinned; the filter would spread them.
+    """Return the outliers in records that will be thinned; the filter would smear them.
 
-    Signals that are sampled so fast are smooth from sample to sample, whatever the model is. So the
-    outliers are looked for in the measured signal itself, not in a residual. Samples just after
+    Signals with such a high sampling rate are smooth from sample to sample, so no model is needed:
+    the outliers are detected in the measured signal itself, not in a residual. Samples just after
     jumps of inputs are never outliers.
     """
     found = []
@@ -236,7 +236,7 @@ def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutp
 
 
 def _by_output(signals: Mapping[Place, FloatArray]) -> dict[str, dict[int, FloatArray]]:
-    """The signals of each output, by experiment."""
+    """Return the signals by output and experiment."""
     found: dict[str, dict[int, FloatArray]] = {}
     for (experiment, output), signal in signals.items():
         found.setdefault(output, {})[experiment] = signal
@@ -244,7 +244,7 @@ def _by_output(signals: Mapping[Place, FloatArray]) -> dict[str, dict[int, Float
 
 
 def _noise_of_signals(signals: Sequence[FloatArray]) -> float:
-    """Return the noise of one sensor's signals, at least the error that a simulation may have."""
+    """Return the noise of one sensor's signals, or the typical simulation error if it is larger."""
     stacked = np.concatenate(signals)
     ends = np.cumsum([0, *map(len, signals)])
     records = tuple(
@@ -260,7 +260,7 @@ def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:
 
 
 def _kept(fitter: Fitter, outliers: Sequence[OutliersOfOutput]) -> Mask:
-    """Return which residuals are not outliers."""
+    """Return a mask of the residuals that are not outliers."""
     masks, records = _masks(outliers), fitter.records
     kept = np.ones(fitter.size, bool)
     for item in records.items:
@@ -273,7 +273,7 @@ def _kept(fitter: Fitter, outliers: Sequence[OutliersOfOutput]) -> Mask:
 def _outliers(
     fitter: Fitter, fitted: FittedModel, thinned: Collection[Place]
 ) -> list[OutliersOfOutput]:
-    """The outliers of each output that has some, in training and in held-out experiments."""
+    """Return the outliers of each output with outliers, separately for held-out experiments."""
     names = fitter.records.outputs
     noise = _noise(fitter, fitted)
     training = {
@@ -291,7 +291,7 @@ def _outliers(
 
 
 def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
-    """Return the noise of each output, at least the error that a simulation may have."""
+    """Return the noise of each output, or the typical simulation error if it is larger."""
     signals = fitter.records.by_output(measured_values(fitter))
     ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
     noise = np.fmax(noise_of(fitter, fitted.residuals), EXACT * ranges)
@@ -303,8 +303,8 @@ def _in_records(
 ) -> dict[int, IsolatedOutliers]:
     """Return the outliers of one sensor.
 
-    If more of them than expected by chance come just after jumps or pulses of inputs, those are
-    responses to the inputs, and not outliers.
+    If more outliers than expected by chance come just after jumps or pulses of inputs, these
+    samples are responses to the inputs, and not outliers.
     """
     found = _of_sensor(signals, {}, noise)
     count = sum(int(each.mask.sum()) for each in found.values())
@@ -318,9 +318,9 @@ def _in_records(
 def _of_sensor(
     signals: Mapping[int, FloatArray], excepted: Mapping[int, Mask], noise: float
 ) -> dict[int, IsolatedOutliers]:
-    """Return the outliers of one sensor; `excepted` samples never are outliers.
+    """Return the outliers of one sensor; `excepted` samples are never outliers.
 
-    A sensor that is known to have outliers needs less evidence for each further one.
+    If a sensor certainly has outliers, less evidence is required for each further outlier.
     """
 
     def outliers(*, proven: bool) -> dict[int, IsolatedOutliers]:
@@ -335,7 +335,10 @@ def _of_sensor(
 
 
 def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
-    """Return the residuals of the held-out experiments, with their own parameters at the start."""
+    """Return the residuals of the held-out experiments.
+
+    Parameters that belong to a held-out experiment alone have their start values.
+    """
     tests = fitter.problem.indices("test")
     stage = LoopStage.DECLARED_MODEL.value
     outcomes = fitter.simulate(fitted.problem, tests, fitted.estimates, "trajectory", stage)
@@ -355,11 +358,11 @@ class GrowingNoise:
     Attributes
     ----------
     growth
-        How the noise depends on the signal, in units of the residual.
+        The dependence of the noise on the signal, in the unit of the residual.
     sigma, relative_sigma
         Estimates of the two parts of the noise, as in `Output`; NaN if they are not known.
     weighted
-        Each sample is weighted with its own sigma. False if the user has given a sigma.
+        Whether each sample is weighted with its own sigma; False if the user has given a sigma.
     """
 
     output: str
@@ -370,7 +373,7 @@ class GrowingNoise:
 
     @property
     def sentence(self) -> str:
-        """Say how much the noise grows, and how the samples are weighted."""
+        """The growth of the noise and the weights of the samples, as a sentence."""
         growth, name = self.growth, self.output
         rise = (
             f"by a factor of {growth.loud / growth.quiet:.1f}" if growth.quiet > 0.0 else "from 0"
@@ -425,5 +428,5 @@ def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Proble
 
 
 def _rounded(value: float) -> float:
-    """Round to the digits of the note, so that a fit with them has exactly the same weights."""
+    """Round to the digits of the note, so that a fit with the noted values has the same weights."""
     return float(f"{value:.3g}")

@@ -1,4 +1,4 @@
-"""The noise of the outputs, estimated from residuals, and residuals compared with this noise."""
+"""Estimates of the outputs' noise from residuals, and comparison of residuals with this noise."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from workers.messages import FloatArray
 
 
 def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
-    """Return the standard deviation of each output's noise, in units of its residual: (outputs,).
+    """Return the standard deviation of each output's noise, in its residual's unit: (outputs,).
 
-    If all records of an output are too short to distinguish noise from misfit, the given sigma is
-    returned. Otherwise the whole residual would count as noise and hide a missing effect. For
-    thinned records, the noise is at most the one that was seen between the samples from which their
-    rows were made: a residual that is smooth from sample to sample may vary from row to row. See
-    `estimate_noise`.
+    The estimate is that of `estimate_noise`, with two exceptions. If all records of an output are
+    too short to distinguish noise from misfit, the given sigma is returned, because otherwise the
+    whole residual would count as noise and hide a missing effect. For thinned records, the noise
+    between the original samples is an upper limit, because a residual that is smooth from sample to
+    sample may vary from row to row.
     """
     found = estimate_noise(residuals, fitter.records, measured_values(fitter))
     for number in range(len(found)):
@@ -34,7 +34,7 @@ def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
 
 
 def _seen_between_samples(fitter: Fitter) -> FloatArray:
-    """Return the noise between samples of thinned records, in units of the residual; else NaN."""
+    """Return the noise between the original samples of thinned records; NaN for other outputs."""
     names = fitter.records.outputs
     found = np.full(len(names), np.nan)
     for number, name in enumerate(names):
@@ -47,7 +47,7 @@ def _seen_between_samples(fitter: Fitter) -> FloatArray:
 
 
 def expected_noise(fitter: Fitter, residuals: FloatArray) -> FloatArray:
-    """Return the declared noise of each output, or without a sigma the estimate of `noise_of`."""
+    """Return the declared noise of each output, or the estimate of `noise_of` without a sigma."""
     if fitter.sigma_declared:
         return np.ones(len(fitter.records.outputs))
     return noise_of(fitter, residuals)
@@ -65,65 +65,64 @@ def is_given(fitter: Fitter, output: int) -> bool:
 
 
 def measured_values(fitter: Fitter) -> FloatArray:
-    """Return the measured values divided by sigma, stacked like the residuals."""
+    """Return the measured values over sigma, in the order of the residuals."""
     parts = [o.values / o.sigmas for run in fitter.runs for o in run.outputs]
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
 ORDER = 5
-"""Largest lag of the partial autocorrelations that are computed."""
+"""Largest lag of the partial autocorrelations."""
 
 WHITE = 0.05
-"""Largest mean square beyond the white part with which noise still counts as white."""
+"""Largest mean square of the part that is not white for noise that still counts as white."""
 
 WHITE_ERROR = 5.0
-"""Relative error of the squared white part, times the square root of the number of samples."""
+"""Relative error of the variance of the white part, times the root of the number of samples."""
 
 COLOURED_SHARE = 0.8
-"""If the white part has more than this share of the variance, the rest of the residual is too small
-to be coloured noise, and is something else."""
+"""Share of the variance: if the white part has more, the rest of the residual is too small to be
+coloured noise, and has another cause."""
 
 FIRST_ORDER = 0.1
-"""Largest partial autocorrelation beyond lag 1 of first-order noise. Benchmark."""
+"""Largest partial autocorrelation of first-order noise at lags above 1. Benchmark."""
 
 DRIFT = 0.95
-"""If the correlation from one sample to the next is above this value, a residual is a drift or an
-offset. The noise of a sensor is no longer correlated after about twenty samples."""
+"""Correlation of neighbouring samples above which a residual counts as a drift or an offset. The
+noise of a sensor is no longer correlated after about twenty samples."""
 
 CHANCE = float(ndtr(-2.0))
 """Probability that noise of the declared sigma exceeds the limit up to which a residual counts as
-within sigma: the probability of more than two standard errors."""
+within sigma: the probability of an excess of more than two standard errors."""
 
 
 @dataclass(frozen=True)
 class OutputNoise:
     """The residual of one output and its noise, both in units of the declared sigma.
 
-    Without a declared sigma, the unit is the estimated noise. If that is 0, `level` is infinite.
+    Without a declared sigma, the unit is the estimated noise. If this is 0, `level` is infinite.
 
     Attributes
     ----------
     level, white
         Root mean square of the residual; estimated standard deviation of its white part.
     degrees
-        Degrees of freedom of the square of `level`. An autocorrelated residual has few.
+        Degrees of freedom of the square of `level`; they are few if the residual is autocorrelated.
     correlation
-        Correlation of one sample with the next.
+        Correlation of neighbouring samples.
     first_order
-        The residual looks like a first-order autoregression, the usual coloured noise of a sensor.
-        A disturbance that acts through the model looks different: it is smoother, or white noise is
-        added to it.
+        Whether the residual looks like a first-order autoregression, the usual coloured noise of a
+        sensor. A disturbance that acts through the model is smoother, or contains white noise.
     declared, given
-        Whether the user has declared a sigma; whether some sigma is not 1, the default.
+        Whether the user has declared a sigma; whether some sigma differs from the default, 1.
     loud
-        If each experiment has its own sigma: the ids of the experiments with more than twice the
-        noise of their sigma. Empty if all experiments are such experiments.
+        If experiments have different sigmas: the ids of those experiments whose noise is more than
+        twice their sigma. Empty if this is so in all experiments.
     told
-        Some record is long enough to distinguish its noise from the misfit. Otherwise `white` is
+        Whether some record is long enough to distinguish noise from misfit. Otherwise `white` is
         the given sigma, or the whole residual of the declared model.
     filtered
-        The residuals are innovations. Their unit is the spread that process noise and sigma
-        together explain.
+        Whether the residuals are innovations. Their unit is the standard deviation that process
+        noise and sigma together explain.
     """
 
     output: str
@@ -148,37 +147,37 @@ class OutputNoise:
 
     @property
     def named(self) -> str:
-        """The name of the output; it says so if sigma may be the default and not the user's."""
+        """The name of the output, with a remark if sigma is the default."""
         return self.output if self.given else f"{self.output} (sigma is 1, the default)"
 
     @property
     def sigma_too_small(self) -> bool:
-        """The white part alone is more than twice the declared sigma."""
+        """Whether the white part alone is more than twice the declared sigma."""
         return self.declared and self.white > NOISY
 
     @property
     def sigma_too_large(self) -> bool:
-        """The whole residual is less than half the declared sigma."""
+        """Whether the whole residual is less than half the declared sigma."""
         return self.declared and self.level < SMALL_RMS_OVER_SIGMA
 
     @property
     def within(self) -> bool:
-        """The residual may be noise of the declared sigma: it is not larger, and not a drift."""
+        """Whether the residual may be noise of the declared sigma: not larger, and not a drift."""
         return self.no_larger and not self.drifts
 
     @property
     def drifts(self) -> bool:
-        """The residual is correlated over too many samples to be the noise of a sensor."""
+        """Whether the residual is correlated over too many samples to be the noise of a sensor."""
         return self.correlation > DRIFT
 
     @property
     def no_larger(self) -> bool:
-        """The residual is not larger than noise of the declared sigma, whether smooth or not.
+        """Whether the residual is not larger than noise of the declared sigma, smooth or not.
 
-        The slow part of the residual may have the variance that remains of sigma squared after the
-        white part. By chance it may be larger, as a chi-squared variable with `degrees` degrees of
-        freedom; autocorrelation makes these fewer (`Autocorrelation.squares`). The residual's own
-        standard error is not used, because it grows with the residual.
+        The variance of the slow part may be sigma squared minus the variance of the white part. By
+        chance it may be larger, like a chi-squared variable with `degrees` degrees of freedom.
+        Autocorrelation reduces these (`Autocorrelation.squares`). The residual's own standard error
+        is not used, because it grows with the residual.
         """
         if not self.declared:
             return False
@@ -189,24 +188,24 @@ class OutputNoise:
 
     @property
     def coloured(self) -> bool:
-        """A part of the residual is not white."""
+        """Whether a considerable part of the residual is not white."""
         return self.white**2 <= COLOURED_SHARE * self.level**2
 
     @property
     def like_noise(self) -> bool:
-        """The residual is white, or coloured like the noise of a sensor."""
+        """Whether the residual is white, or coloured like the noise of a sensor."""
         return self.first_order or self.level**2 - self.white**2 <= WHITE
 
     @property
     def believed(self) -> bool:
-        """The declared sigma is not contradicted by the data."""
+        """Whether a sigma is declared and the data do not contradict it."""
         return self.declared and not (self.sigma_too_small or self.sigma_too_large)
 
 
 def residual_noise(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[OutputNoise, ...]:
-    """Compare the residual of a fit with each output's noise, (outputs,), in the same units."""
+    """Compare the residual of a fit with each output's noise: (outputs,), in the same units."""
     found = [_of_output(fitter, fitted, *each) for each in enumerate(noise.tolist())]
     return tuple(each for each in found if each is not None)
 
@@ -246,10 +245,10 @@ def _of_output(
 
 
 def believed_noise(fitter: Fitter, outputs: Sequence[OutputNoise], noise: FloatArray) -> FloatArray:
-    """Return the noise of each output, in units of the residual: (outputs,).
+    """Return the noise of each output, in the unit of the residual: (outputs,).
 
-    This is the declared sigma if the data do not contradict it and the residual looks like noise.
-    Otherwise it is the estimate.
+    This is the declared sigma (or a larger estimate) if the data do not contradict it and the
+    residual looks like noise. Otherwise it is the estimate.
     """
     believed = {each.output for each in outputs if each.believed and each.like_noise}
     pairs = zip(fitter.records.outputs, noise.tolist(), strict=True)
@@ -259,15 +258,15 @@ def believed_noise(fitter: Fitter, outputs: Sequence[OutputNoise], noise: FloatA
 def is_noise_of_sensors(
     outputs: Sequence[OutputNoise], *, near: float, largest: float, whitened: bool
 ) -> bool:
-    """Return whether the residual may be nothing but sensor noise, white or coloured.
+    """Return whether the residual may be only sensor noise, white or coloured.
 
-    If an autoregression describes the residual completely (`whitened`), it may be up to `near`
-    times the noise. If no sigma is declared, it may be up to `largest` times the estimated noise.
-    This estimate contains only the white part: at a correlation of 0.93 it is about five times too
-    small.
+    If an autoregression describes the residual completely (`whitened`), the residual may be up to
+    `near` times the noise. If no sigma is declared, first-order noise may be up to `largest` times
+    the estimated noise, because this estimate contains only the white part. At a correlation of
+    0.93, it is about five times too small.
     """
     for output in outputs:
-        if output.filtered:  # if the process noise is right, innovations are white
+        if output.filtered:  # with the right process noise, innovations are white
             known = output.level**2 - output.white**2 <= WHITE
         elif output.believed:
             known = _within_declared(output, near)
@@ -305,7 +304,10 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
 
 
 def _loud(fitter: Fitter, fitted: FittedModel, number: int) -> tuple[str, ...]:
-    """Return the experiments whose sigma is too small for one output, unless all of them are."""
+    """Return the experiments whose sigma is too small for one output.
+
+    () if it is too small in all experiments, or if all experiments have the same sigma.
+    """
     records, sigmas = fitter.records, fitter.sigmas
     own = [r for r in records.items if r.output == number and len(r.times)]
     if len({float(sigmas[record.rows.start]) for record in own}) < 2:

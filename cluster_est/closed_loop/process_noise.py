@@ -1,12 +1,12 @@
-"""The search for missing effects in a model with process noise: passes, each with fixed noise.
+"""The search for missing effects in a model with process noise.
 
 1. Fit the declared model and its process noise by prediction errors.
 2. Fix this noise and search. The residuals are innovations over their standard deviations. If the
    model is right, they are white with variance 1, as the tests of the search require. If an effect
    is missing, the fitted noise explains a part of it and is too large. The tests then see less of
    the effect, but they do not see effects that do not exist.
-3. Fit the noise again with the effects that were found, fix it, and search again from the declared
-   model, until the search finds the same effects again.
+3. Fit the noise again with the effects that were found. Fix it, and search again from the declared
+   model. Repeat this until a search finds the same effects as an earlier one.
 4. Compare both models, each with its own fitted noise, and report.
 """
 
@@ -51,7 +51,7 @@ NOT_AGAIN = (
 
 
 def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
-    """Search for effects that a model with process noise lacks; `begin` is the start of the run.
+    """Search for effects that a model with process noise lacks; `begin` is the run's start time.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
 
 @dataclass(frozen=True)
 class SpentSimulations:
-    """What a fitter has simulated; see `LoopResult`."""
+    """Numbers of simulations of a fitter, as in `LoopResult`."""
 
     simulations: float
     simulated: int
@@ -101,7 +101,7 @@ class SpentSimulations:
 
 
 def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResult:
-    """Add what was simulated at the workbenches before the last one."""
+    """Add the simulations of the earlier passes to the numbers in a result."""
     names = [each.name for each in fields(SpentSimulations)]
     before = {name: sum(getattr(each, name) for each in spent) for name in names}
     return replace(result, **{name: getattr(result, name) + before[name] for name in names})
@@ -110,7 +110,7 @@ def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResul
 def _judged(
     size: int, searched: SearchedModel, fits: LastFits, passed: list[frozenset[str]]
 ) -> ReasonedVerdict:
-    """The verdict once both models have noise of their own."""
+    """Return the verdict after both models were fitted with their own noise."""
     found, judged = searched.ends[0]
     if judged.verdict in CLAIMS:
         against = why_not_likely(size, found, fits)
@@ -129,7 +129,7 @@ def _with_noise(
     fits: LastFits,
     passed: list[frozenset[str]],
 ) -> LoopResult:
-    """The result with what is to be said of process noise, and of the passes."""
+    """Add sentences on the process noise and on the passes to a result."""
     kept = bool(result.effects)
     said = [noise_sentence(each, kept=kept) for each in fits.noise]
     free = simulation_sentence(fitter, result.before, result.after) if kept else ""
@@ -143,7 +143,7 @@ def _with_noise(
 
 
 def _unsettled(passed: list[frozenset[str]]) -> str:
-    """Say that the passes have not come to an end, where that is so."""
+    """Say that the passes did not converge; "" if they did."""
     if not passed[-1] or passed[-1] in passed[:-1]:
         return ""
     return (
@@ -153,7 +153,7 @@ def _unsettled(passed: list[frozenset[str]]) -> str:
 
 
 def noise_sentence(change: NoiseChange, *, kept: bool) -> str:
-    """Say how strong process noise is, and was."""
+    """Say how strong the process noise is; if effects were kept, also how strong it was before."""
     unit = f" {change.unit}" if change.unit not in ("", "1") else ""
     kind = "standard deviation" if change.coloured else "strength"
     lasting = f", correlation time {change.time_before:.3g} s" if change.coloured else ""
@@ -175,12 +175,12 @@ WITH_NOISE = LeastSquares(trials=2, max_iterations=40, ftol=1e-8, xtol=1e-8)
 
 
 def check_noise_parameters(problem: Problem) -> None:
-    """Refuse noise whose strength is not one number of its own.
+    """Refuse noise parameters with an expression, or with several values.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If there is such a parameter.
     """
     for parameter in noise_parameters(problem):
         for key, given in (("per", parameter.per), ("expression", parameter.expression)):
@@ -193,7 +193,7 @@ def check_noise_parameters(problem: Problem) -> None:
 
 
 def released(start: FitStart, declared: Problem) -> FitStart:
-    """Return a model with the noise parameters of the declared one, from where they were held."""
+    """Return a model whose noise parameters are free again; they start at their fixed values."""
     own = {p.name: p for p in noise_parameters(declared)}
     held = {p.name: p.start for p in start.problem.parameters if p.name in own}
     parameters = tuple(
@@ -207,21 +207,21 @@ def released(start: FitStart, declared: Problem) -> FitStart:
 def hold_noise(
     fitter: Fitter, declared: Problem, start: FitStart, known: Mapping[str, float]
 ) -> FitStart:
-    """Fit a model with its noise, and hold the noise of that fit in the declared one.
+    """Fit a model together with its noise, and fix the noise of the declared model at this fit.
 
     Parameters
     ----------
     declared
-        As the user has given it.
+        The user's problem.
     start
-        The model, with noise that is free.
+        The model to fit, with free noise parameters.
     known
-        Values of the declared unknowns to start from; those of the fit where they are not given.
+        Start values of the declared unknowns. Unknowns without one start at the fit's values.
 
     Returns
     -------
     FitStart
-        The declared model, its noise fixed, and in each experiment the `log_spread` of that fit.
+        The declared model with fixed noise; each experiment has the `log_spread` of the fit.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def hold_noise(
 
 
 def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
-    """Return the `log_spread` of every experiment at a fit; 0 where it cannot be simulated."""
+    """Return the `log_spread` of each experiment; 0 if the experiment cannot be simulated."""
     everything = tuple(range(len(fitted.problem.experiments)))
     known, stage = fitted.estimates, LoopStage.PROCESS_NOISE.value
     outcomes = fitter.simulate(fitted.problem, everything, known, "linearisation", stage)
@@ -263,11 +263,11 @@ def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
 def last_fits_with_noise(
     fitter: Fitter, declared: Problem, found: SelectionResult, begin: float
 ) -> LastFits:
-    """Fit both models with noise of their own, and compare their innovations under one noise.
+    """Fit both models, each with its own noise, and compare their errors.
 
-    Errors in the output's unit are those of predictions, each by a filter with its model's own
-    noise. Normalised ones are innovations over their standard deviations, those of both models
-    under the noise that is left with the effects: 1 is what that noise explains.
+    Errors in the output's unit are prediction errors; each model's filter uses the model's own
+    noise. Normalised errors are innovations over their standard deviations. For both models, they
+    use the noise that remains with the effects; this noise alone would give 1.
     """
     held, free = [], []
     for start in (model.start for model in last_models(found)):
@@ -279,11 +279,12 @@ def last_fits_with_noise(
 
 
 def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
-    """Say what speaks against the effects once both models have noise of their own; "" if nothing.
+    """Return a reason against the effects if both models have their own noise; "" if there is none.
 
-    The fall of -2 log likelihood must pay for the unknowns, as in the criterion of G. Schwarz, and
-    for the choice among the candidates, and held-out experiments must be as likely as before. That
-    the noise is smaller then is in the likelihood: its strength by itself is known less well.
+    -2 log likelihood must fall by more than the penalty for the added unknowns (Schwarz criterion)
+    plus the penalty for the choice among the candidates. For held-out experiments, it must not
+    grow. The likelihood includes the decrease of the noise. The noise strength itself is not
+    tested, because it is known less accurately.
     """
     unknowns = len(fits.after.solution.x) - len(fits.before.solution.x)
     count = found.steps[0].screening.count
@@ -302,7 +303,7 @@ def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
 
 
 def simulation_sentence(fitter: Fitter, before: Result, after: Result) -> str:
-    """Say how far simulations that go their own way are from what was measured; "" if unknown."""
+    """Give the error of simulations that no filter corrects; "" if it is not known."""
     roles: tuple[tuple[Role, str], ...] = (("train", "training"), ("test", "held-out"))
     said = []
     for role, name in roles:
@@ -318,7 +319,10 @@ def simulation_sentence(fitter: Fitter, before: Result, after: Result) -> str:
 
 
 def _simulation_error(fitter: Fitter, result: Result, role: Role) -> float:
-    """Root mean square over sigma of simulations without noise; NaN if there are none."""
+    """Return the root mean square error over sigma of simulations without process noise.
+
+    NaN if there are no simulations, or if one failed.
+    """
     known = {e.label: e.value for e in result.estimates}
     problem = without_noise(result.problem)
     chosen = problem.indices(role)
@@ -337,14 +341,14 @@ def _simulation_error(fitter: Fitter, result: Result, role: Role) -> float:
 
 
 def _deviance(result: Result, role: Role) -> float:
-    """-2 log likelihood up to a constant, of the experiments of a role."""
+    """Return -2 log likelihood, up to a constant, of the experiments with a role."""
     chosen = set(result.problem.indices(role))
     parts = [s.outcome.residuals for s in result.simulations if s.experiment in chosen]
     return float(sum(np.inf if part is None else part @ part for part in parts))
 
 
 def _noise_changes(before: Result, after: Result) -> tuple[NoiseChange, ...]:
-    """Strength and time of each noise, before and after."""
+    """Return the strength and correlation time of each noise, before and after."""
     names = set(noise_names(before.problem))
     units = {e.label: e.unit for e in before.estimates}
     old, new = ({e.label: e.value for e in each.estimates} for each in (before, after))
@@ -364,7 +368,7 @@ def _noise_changes(before: Result, after: Result) -> tuple[NoiseChange, ...]:
 def _error_changes(
     free: tuple[Result, Result], held: tuple[Result, Result]
 ) -> tuple[ErrorChange, ...]:
-    """Errors of predictions in units, and innovations over what the noise explains."""
+    """Return prediction errors of `free` in units, and normalised innovations of `held`."""
     sizes = [dict(_innovation_sizes(result)) for result in held]
     changes = []
     for old, new in zip(free[0].errors, free[1].errors, strict=True):
@@ -375,7 +379,7 @@ def _error_changes(
 
 
 def _innovation_sizes(result: Result) -> Iterator[tuple[tuple[str, str], float]]:
-    """Root mean square of the residuals of each output of each experiment."""
+    """Yield the root mean square of the residuals for each experiment and output."""
     for simulation in result.simulations:
         run = result.problem.experiments[simulation.experiment]
         residuals = simulation.outcome.residuals

@@ -3,8 +3,8 @@
 A thinned record of many hundreds of time constants contains more information than a search needs,
 and each trial would simulate all of it. So a search uses a part of the record: the first part, or a
 part in which the declared model, fitted to the whole record, has a larger error. A part that begins
-later has its own initial states. Statistical power is lost, in proportion to the square root of the
-samples. An effect that acts only in other parts shows in the residual of the whole records; then
+later has its own initial states. The statistical power decreases with the square root of the number
+of samples. If an effect acts only in other parts, the residual of the whole records shows it. Then
 the search is repeated with the whole records.
 """
 
@@ -29,27 +29,27 @@ from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, rows_of
 from workers.messages import Experiment, FloatArray, IntArray, OwnStart
 
 WORSE_THERE = 2.0
-"""Least misfit of another part, over the misfit of the first part, to be used instead of it:
-another part has unknown initial states."""
+"""Least ratio of another part's misfit to the first part's misfit for which the other part is used.
+The first part is preferred, because the initial states of other parts are unknown."""
 
 BY_CHANCE = 4.0
-"""If a sum of squares exceeds that of noise by less than this number of standard errors, it is no
-misfit."""
+"""If a sum of squares exceeds that of noise by fewer standard errors than this, the excess counts
+as chance."""
 
 INFORMED = 0.2
-"""Least share of the information on any combination of unknowns that windows contain, over their
-share of the rows."""
+"""Least information of the windows on any combination of unknowns, as a share of all information,
+divided by the windows' share of all rows."""
 
 FEWEST_SAMPLES = 30
-"""Least number of rows in a window, for each output of its record."""
+"""Least number of rows of each output in a window."""
 
 TOLD = 1e-10
-"""If its singular value over the largest one is below this, a combination of unknowns has no
-effect."""
+"""Ratio to the largest singular value below which a combination of unknowns counts as having no
+influence."""
 
 SAME = 0.3
-"""Largest difference between the residuals of the declared model in a window and in the whole
-record, as a root mean square over the noise."""
+"""Largest root mean square difference, over the noise, between the residuals of the declared model
+in a window and in the whole record."""
 
 
 @dataclass(frozen=True)
@@ -59,15 +59,15 @@ class Window:
     Attributes
     ----------
     position
-        Of the record among the training experiments.
+        Index of the record among the training experiments.
     experiment
         The whole record.
     start, stop
-        Seconds.
+        Start and end in seconds.
     count
-        Rows that were wanted.
+        Intended number of rows.
     rows
-        Of the residuals of all training experiments.
+        Indices of the window's rows in the residuals of all training experiments.
     """
 
     position: int
@@ -97,12 +97,10 @@ class SearchWindows:
         The problem with the whole records.
     problem
         The problem with the windows, which the search uses.
-    windows
-        The windows.
     made
         Names of the parameters that are initial states of windows; `whole` does not have them.
     rows
-        Rows of the residuals of `whole` that `problem` has too.
+        Indices of those residuals of `whole` that also belong to `problem`.
     fitted
         The declared model, fitted to the whole records.
     """
@@ -132,9 +130,9 @@ class SearchWindows:
         )
 
     def unlike_records(self, fitter: Fitter) -> str:
-        """Say why the declared model has other residuals in the windows than in whole records.
+        """Say why the declared model's residuals in the windows differ from those in whole records.
 
-        This happens if initial states cannot be set, or if the model has a long memory.
+        They differ if initial states cannot be set, or if the model has a long memory.
 
         Parameters
         ----------
@@ -160,8 +158,8 @@ class SearchWindows:
     def on_whole_records(self, fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
         """Return the models of the search as starts for fits to the whole records.
 
-        For the declared model, the better of two starts is used: its values from the search, and
-        those of an earlier fit to the whole records.
+        For the declared model, the better of two starts is used: the values from the search, or the
+        values of an earlier fit to the whole records.
 
         Parameters
         ----------
@@ -187,7 +185,7 @@ class SearchWindows:
         return replace(start, problem=problem, values={**self.fitted.estimates, **start.values})
 
     def missed(self, fitter: Fitter, fitted: FittedModel | None) -> str:
-        """Say where a model has a larger error than in the windows; "" if nowhere.
+        """Say where a model has a clearly larger error than in the windows; "" if nowhere.
 
         Parameters
         ----------
@@ -212,14 +210,14 @@ class SearchWindows:
 
 @dataclass(frozen=True)
 class _Misfit:
-    """What a model leaves of whole records, in units of the noise.
+    """The residuals of a model over whole records, in units of the noise.
 
     Attributes
     ----------
     residuals : (N,)
     jacobian : (N, unknowns)
     outputs : (N,)
-        Which output each is of.
+        Index of each residual's output.
     """
 
     residuals: FloatArray = field(repr=False)
@@ -239,10 +237,10 @@ class _Misfit:
         return cls(fitted.residuals / levels, fitted.jacobian / levels[:, None], outputs)
 
     def within(self, rows: IntArray) -> float:
-        """Return by how much -2 log likelihood exceeds that of noise, beyond chance.
+        """Return the excess of -2 log likelihood over that of noise, after an allowance for chance.
 
-        Other values of the unknowns, for these rows alone, explain none of it: what is wrong in one
-        part of the data makes a fit to all of them wrong everywhere.
+        The unknowns are first fitted to these rows alone (linearised). Otherwise an error in one
+        part of the data, which makes the fit to all data wrong, would appear in all other parts.
         """
         matrix = _of_one_size(self.jacobian[rows])
         step = np.linalg.lstsq(matrix, self.residuals[rows], rcond=TOLD)[0]
@@ -261,18 +259,18 @@ def choose_windows(
     fitted: FittedModel | None = None,
     near: Mapping[str, float] | None = None,
 ) -> SearchWindows | None:
-    """Choose a part of each long record for a search; None where it needs whole records.
+    """Choose a part of each long record for a search; None if the search needs whole records.
 
     Parameters
     ----------
     fitter
-        With thinned records.
+        Fitter of the problem with thinned records.
     most
-        Rows that are wanted of each.
+        Intended number of rows of each part.
     fitted
-        The declared model, if it has been fitted to these before.
+        The declared model, if it has already been fitted to these records.
     near
-        Where its fit may start else.
+        Start values of the fit otherwise.
     """
     long = [fitter.train.index(e) for e in looked_at_in_parts(fitter.problem, most)]
     if most is None or not long:
@@ -288,7 +286,10 @@ def choose_windows(
 def _enough(
     fitter: Fitter, fitted: FittedModel, long: Sequence[int], most: int
 ) -> list[Window] | None:
-    """Return windows that say enough of each unknown, as short as they may be."""
+    """Return windows with enough information on each unknown; their length is doubled until then.
+
+    None if no record is long enough.
+    """
     left = _Misfit.of(fitter, fitted)
     shared = [i for i, unknown in enumerate(fitted.space.unknowns) if not unknown.scope]
     u, sizes, _ = np.linalg.svd(_of_one_size(fitted.jacobian[:, shared]), full_matrices=False)
@@ -311,7 +312,7 @@ def _of_one_size(jacobian: FloatArray) -> FloatArray:
 
 
 def _worst(left: _Misfit, windows: Sequence[Window]) -> Window:
-    """The first window, or where the misfit is much larger."""
+    """Return the first window, or the window with the largest misfit if that is much larger."""
     misfits = [left.within(window.rows) for window in windows]
     worst = int(np.argmax(misfits))
     return windows[worst if misfits[worst] > WORSE_THERE * misfits[0] else 0]
@@ -322,7 +323,7 @@ def _rows(fitter: Fitter, position: int) -> int:
 
 
 def _candidates(fitter: Fitter, position: int, count: int) -> Iterator[Window]:
-    """Windows of about as many rows of a record, each half over the one before."""
+    """Yield windows of about `count` rows of a record; each overlaps half of the one before."""
     run = fitter.problem.experiments[fitter.train[position]]
     times = max((output.times for output in run.outputs), key=len)
     halves = max(int(np.ceil(2 * len(times) / count)), 2)
@@ -338,7 +339,7 @@ def _candidates(fitter: Fitter, position: int, count: int) -> Iterator[Window]:
 
 
 def _rows_of_search(fitter: Fitter, windows: Sequence[Window]) -> IntArray:
-    """The residuals of windows, and of all of the other records."""
+    """Return the indices of the residuals in windows, and in all records without a window."""
     own = {window.position: window.rows for window in windows}
     every = range(len(fitter.train))
     return np.concatenate(
@@ -359,7 +360,7 @@ def _show_all_outputs(fitter: Fitter, windows: Sequence[Window]) -> bool:
 def _with_parts(
     fitter: Fitter, fitted: FittedModel, windows: Sequence[Window]
 ) -> SearchWindows | None:
-    """Put parts in the place of records; None where one cannot begin with states of its own."""
+    """Replace records by their windows; None if a window cannot have its own initial states."""
     before, states = fitter.problem, RestartableStates()
     problem = before
     paths: list[LinearisedTrajectory] = []
@@ -395,7 +396,7 @@ def _with_parts(
 def _begun(
     part: Experiment, states: RestartableStates, path: LinearisedTrajectory
 ) -> tuple[OwnStart, ...]:
-    """The initial states of a part: where the fit of the whole record stands there."""
+    """Return the initial states of a part, from the fit to the whole record at its start time."""
     at = min(int(np.searchsorted(path.times, part.start)), len(path.times) - 1)
     values = {target: float(path.signals[name][at]) for name, target in states.targets.items()}
     return tuple(

@@ -17,8 +17,8 @@ from workers.fmu.description import nearest
 class LoopStage(enum.Enum):
     """A stage of the run; its value is the name of its parameter searches in the log.
 
-    `running.progress_line.SEARCH_TITLES` has a title for each stage. In addition to "final", the
-    last fits have parameter searches with other names, such as "before" and "after".
+    `running.progress_line.SEARCH_TITLES` has a title for each stage. The last fits also have
+    parameter searches with names other than "final", such as "before" and "after".
     """
 
     WEIGHTS = "weights"
@@ -46,7 +46,7 @@ class CandidateStage(enum.StrEnum):
 
 
 def _sites(given: tuple[str, ...]) -> tuple[str, ...]:
-    """Sites as effects write them."""
+    """Return the sites in the normalised notation of `EffectSite`."""
     try:
         return tuple(str(parse_site(text, "closed_loop.sites")) for text in given)
     except EffectError as error:
@@ -56,7 +56,8 @@ def _sites(given: tuple[str, ...]) -> tuple[str, ...]:
 class LoopPart(enum.StrEnum):
     """A part of the search that can be left out: a move, a gate, or a part that moves share.
 
-    Moves propose structures (`selection/moves.py`). Gates refuse them (`selection/gates.py`).
+    Moves propose structures (`selection/moves.py`). Gates refuse structures
+    (`selection/gates.py`).
     """
 
     ADD = "add"
@@ -88,7 +89,7 @@ class LoopPart(enum.StrEnum):
 
 
 def _parts(given: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of parts."""
+    """Return the names of parts, after a check."""
     known = [part.value for part in LoopPart]
     for name in given:
         if name not in known:
@@ -158,5 +159,5 @@ class LoopSettings(Settings):
 
     @property
     def forms(self) -> tuple[str, ...]:
-        """Names of the forms to try, in Python's words; empty for the whole library."""
+        """Names of the forms to try; empty for the whole library."""
         return self.effects

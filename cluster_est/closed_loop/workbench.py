@@ -1,4 +1,4 @@
-"""The workbench of a search: checks of the problem, workers, and notes before the search."""
+"""Preparation of a search: checks of the problem, start of the workers, and first notes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from workers.messages.checks import check_kind, check_number
 
 @dataclass(frozen=True)
 class LoopScope:
-    """Facts that a report shows whatever the search finds: the open sites, and notes."""
+    """Facts that each report shows, whatever the search finds: the open sites, and notes."""
 
     sites: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -56,9 +56,9 @@ class LoopWorkbench:
     Attributes
     ----------
     first_fit
-        The declared model, fitted from the user's start; None if that was not needed before.
+        The declared model, fitted from the user's start values; None if it is not fitted yet.
     near
-        The estimates of a fit to the data with outliers; empty if there was none.
+        The estimates of a fit to the data with outliers; empty if there was no such fit.
     """
 
     fitter: Fitter
@@ -69,7 +69,7 @@ class LoopWorkbench:
 
 
 SAMPLES_PER_UNKNOWN = 4
-"""Least number of measured values for each unknown. Benchmark."""
+"""Least number of measured values per unknown. Benchmark."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,13 @@ class LoopRequest:
     Attributes
     ----------
     environment
-        Workers, budget, and the listener that is told of the simulations.
+        Workers, budget, and the listener to which simulations are reported.
     rows
         Number of rows to which long records are thinned during the search; None for all rows.
     noise_of_samples
-        By output, the noise between the samples of thinned records, as far as it is known.
+        The noise between the samples of thinned records, by output, if it is known.
     sigma_declared
-        Whether the user has given a sigma. None: the user has, if some output has a sigma.
+        Whether the user has given a sigma. If None, this is decided by whether an output has one.
     """
 
     problem: Problem
@@ -98,7 +98,7 @@ class LoopRequest:
 
 
 def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None:
-    """Refuse arguments that a config could not contain either.
+    """Refuse arguments that would also be wrong in a config.
 
     Raises
     ------
@@ -114,8 +114,9 @@ def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None
 def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """Start the workers and install the experiments with their synthetic copies.
 
-    If there are several outputs and none has a sigma, a first fit gives each output a sigma from
-    its noise. Otherwise the units of the outputs would decide what is found.
+    If there are several outputs and none has a sigma, a first fit estimates the noise of each
+    output, which is then used as its sigma. Otherwise the result would depend on the outputs'
+    units.
     """
     problem = request.problem
     description = problem.describe()
@@ -144,7 +145,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
 
 @contextmanager
 def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fitter]:
-    """Start workers for a problem, and yield a fitter of its models."""
+    """Start the workers for a problem, and yield a fitter."""
     problem = request.problem
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
@@ -175,7 +176,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
 
 
 def _check_shape(problem: Problem) -> None:
-    """Refuse a problem to which the statistical tests do not apply, or with too few data."""
+    """Refuse a problem with too few data, or to which the statistical tests do not apply."""
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
             "close-loop: the cost must be sse, all outputs must be measured over time, and there "
@@ -300,7 +301,7 @@ def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple
 
 
 def _short_notes(fitter: Fitter) -> tuple[str, ...]:
-    """Name the outputs whose records are all too short to estimate their noise."""
+    """Return a note on outputs whose records are all too short to estimate the noise."""
     records = fitter.records
     short = [
         name

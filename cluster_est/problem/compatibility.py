@@ -1,8 +1,7 @@
-"""Whether priors, outputs that are not compared as they are, and the cost go together.
+"""Checks that priors, special outputs and the cost can be combined.
 
-A prior is weighed against the measurements, which takes their sigmas and a sum of squares. An
-output with a free scale, a detection limit or an order alone makes sense with some costs and
-methods only.
+A prior is weighted against the measurements, which needs their sigmas and a sum of squares. Outputs
+with a free scale, a detection limit or ordinal values can only be used with some costs and methods.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from cluster_est.toml import dotted
 from workers.messages import Experiment, Output
 
 NOT_PLAIN = "free_scale, free_offset, a detection_limit or ordinal values"
-"""What an output may have that is not compared value by value, in error messages."""
+"""Features of outputs that are not compared value by value, for error messages."""
 
 
 def besides_plain_outputs(experiment: Experiment) -> list[str]:
-    """Name what an experiment has besides outputs that are compared as they are, value by value."""
+    """Name the features of an experiment other than outputs that are compared value by value."""
     there = {
         "a curve": experiment.curve is not None,
         "a cost function": experiment.cost_function is not None,
@@ -37,15 +36,15 @@ def besides_plain_outputs(experiment: Experiment) -> list[str]:
 
 
 def check_observed_outputs(problem: Problem) -> None:
-    """Refuse a cost, or a missing sigma, with which such outputs would mean something else.
+    """Refuse a cost, or a missing sigma, that does not suit special outputs.
 
-    The best scale and the bounds of categories are those of least squares, and a value below a
-    detection limit counts by a probability that depends on the noise.
+    Free scales and the bounds of categories are computed by least squares. A value below a
+    detection limit counts with a probability that depends on the noise.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If an output does not suit the cost, or needs a sigma.
     """
     for experiment in problem.experiments:
         for output in experiment.outputs:
@@ -67,12 +66,12 @@ def check_observed_outputs(problem: Problem) -> None:
 
 
 def refuse_ordinal_outputs(space: SearchSpace, key: str, why: str) -> None:
-    """Refuse a feature that needs to know the noise of every output.
+    """Refuse a feature that needs the noise of every output, if there are ordinal outputs.
 
     Raises
     ------
     ProblemError
-        Opening with `key`; `why` ends in what to do.
+        With a message that starts with `key` and ends with `why`, which says what to do.
     """
     if space.has_ordinal_values:
         raise ProblemError(
@@ -82,7 +81,7 @@ def refuse_ordinal_outputs(space: SearchSpace, key: str, why: str) -> None:
 
 
 def _check_categories(output: Output, where: str) -> None:
-    """Refuse values that are all the same, or none but one."""
+    """Refuse an ordinal output with fewer than two different values."""
     count = len(np.unique(output.values))
     if len(output.times) and count < 2:
         raise ProblemError(
@@ -93,16 +92,16 @@ def _check_categories(output: Output, where: str) -> None:
 
 
 def check_priors(problem: Problem) -> None:
-    """Refuse priors that have no measure in common with the measurements.
+    """Refuse priors that cannot be weighted against the measurements.
 
-    A prior counts like one more measurement, in its own standard deviations. So the measurements
-    must count in theirs, and by their squares (H. Theil, A. S. Goldberger, Int. Econ. Rev. 2 (1961)
-    65-78, doi:10.2307/2525589).
+    A prior counts like one more measurement, in units of its own standard deviation. So the
+    measurements must count in units of their sigmas, and with their squares (H. Theil, A. S.
+    Goldberger, Int. Econ. Rev. 2 (1961) 65-78, doi:10.2307/2525589).
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If the cost or an experiment does not allow priors.
     """
     name = next((p.name for p in problem.parameters if p.prior is not None), "")
     if not name:
@@ -121,19 +120,19 @@ def check_priors(problem: Problem) -> None:
 
 
 def refuse_distances(problem: Problem, where: str) -> None:
-    """Refuse curves, cost functions and ordinal outputs: they are in no measurement's sigmas.
+    """Refuse curves, cost functions and ordinal outputs, whose residuals are not in sigmas.
 
     Parameters
     ----------
     problem
-        Whose experiments are looked at.
+        The problem to check.
     where
-        Opens the message.
+        Start of the error message.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If an experiment has one of these.
     """
     for experiment in problem.experiments:
         for key, there in (
@@ -149,21 +148,21 @@ def refuse_distances(problem: Problem, where: str) -> None:
 
 
 def need_sigmas(problem: Problem, why: str) -> None:
-    """Refuse experiments with an output whose noise is not declared.
+    """Refuse experiments with an output without a sigma.
 
-    Held-out ones too: values that only they have are fitted to them.
+    Held-out experiments are also checked, because values that only they have are fitted to them.
 
     Parameters
     ----------
     problem
-        Whose experiments are looked at.
+        The problem to check.
     why
-        What a standard deviation is needed for.
+        The reason why a standard deviation is needed.
 
     Raises
     ------
     ProblemError
-        With what to add.
+        If an output has no sigma.
     """
     for experiment in problem.experiments:
         for output in experiment.outputs:
@@ -176,7 +175,7 @@ def need_sigmas(problem: Problem, why: str) -> None:
 
 
 def without_priors(problem: Problem) -> Problem:
-    """Return the problem with no more known of its parameters than their bounds."""
+    """Return the problem without priors; only the bounds of its parameters remain."""
     if all(parameter.prior is None for parameter in problem.parameters):
         return problem
     plain = tuple(replace(parameter, prior=None) for parameter in problem.parameters)

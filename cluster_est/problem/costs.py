@@ -2,11 +2,11 @@
 
 A new cost is a subclass of `Cost` and a line in `COSTS`, at the end.
 
-The robust ones, for data with outliers, grow more slowly than squares. All of these are
-F = sum of s^2 rho((e / s)^2), where s is the scale beyond which a residual is an outlier, and
-rho(z) = z near 0, so that small residuals count as in the sum of squares. Least-squares methods see
-the weight rho'(z): P. J. Huber, Robust Statistics (1981), doi:10.1002/0471725250, section 7.8; the
-forms are those of B. Triggs et al., Bundle Adjustment (2000), doi:10.1007/3-540-44480-7_21.
+Robust costs, for data with outliers, grow more slowly than squares. All of them are
+F = sum of s^2 rho((e / s)^2). Residuals above the scale s are outliers. Near 0, rho(z) = z, so
+small residuals count as in the sum of squares. Least-squares methods use the weight rho'(z) (P. J.
+Huber, Robust Statistics (1981), doi:10.1002/0471725250, section 7.8). The functions rho are those
+of B. Triggs et al., Bundle Adjustment (2000), doi:10.1007/3-540-44480-7_21.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from workers.messages import FloatArray, IntArray, Reduction
 
 
 class Cost(ABC):
-    """Makes one number F of the residuals of all experiments. Its attributes are its options.
+    """Computes one number F from the residuals of all experiments; its attributes are its options.
 
-    `outputs` says which residuals belong together: those of one output have one number, counted
-    from 0, in all experiments. It is empty where nobody knows, as where a Python function returns
-    the residuals, and all of them count as one output's then. Costs that treat all residuals alike
-    need not look at it.
+    `outputs` contains the index of each residual's output, counted from 0, with the same index in
+    all experiments. It is empty if the outputs are not known, for example if a Python function
+    returns the residuals; all residuals then count as one output. Costs that treat all residuals
+    in the same way need not use it.
     """
 
     name: ClassVar[str]
     """Its name in a config."""
 
     reduction: ClassVar[Reduction | None] = None
-    """A number that may take the place of the residuals of an output in an experiment, because
-    `value` of it is the same. None for a cost that needs each residual, as most costs do."""
+    """A number that may replace the residuals of an output in an experiment without changing
+    `value`. None for a cost that needs each residual, as most costs do."""
 
     is_logarithm: ClassVar[bool] = False
-    """Whether it is the logarithm of something that has units, as a log likelihood is."""
+    """Whether the cost is the logarithm of a quantity with a unit, such as a log likelihood."""
 
     def __init_subclass__(cls) -> None:
         check_class_attributes(cls)
@@ -48,18 +48,17 @@ class Cost(ABC):
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         """Return the cost of all residuals (n,) at one point.
 
-        It does not depend on their order, and is 0 without any, as in a search for a point that
-        satisfies constraints.
+        The cost does not depend on the order of the residuals. It is 0 if there are none, as in a
+        search for a point that satisfies constraints.
         """
 
     @abstractmethod
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         """Return the weights of the residuals' squares for a least-squares method at this point.
 
-        With weights w (n,) the gradient of F is 2 w r, so that sqrt(w) r and sqrt(w) J make the
-        right gradient and, where the curvature of F is at most that of the squares, a step that
-        lowers F. None for a cost that is no function of residuals which a method could use in this
-        way.
+        With weights w (n,), the gradient of F with respect to the residuals is 2 w r. So sqrt(w) r
+        and sqrt(w) J give the right gradient. If the curvature of F is at most that of the squares,
+        they also give a step that decreases F. None if the cost cannot be used in this way.
         """
 
 
@@ -67,8 +66,8 @@ class Cost(ABC):
 class SumSquared(Cost):
     """F = sum of e(t)^2 over all outputs of all experiments.
 
-    The default, and the maximum-likelihood estimate where the noise is normal and `sigma` is its
-    standard deviation.
+    This is the default. It gives the maximum-likelihood estimate if the noise is normal with the
+    standard deviation `sigma`.
     """
 
     name: ClassVar[str] = "sse"
@@ -77,7 +76,7 @@ class SumSquared(Cost):
     @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         # not a dot product, whose rounding depends on the number of threads of the BLAS library
-        with np.errstate(over="ignore"):  # an infinite cost is refused like any that is too high
+        with np.errstate(over="ignore"):  # an infinite cost is refused like any high cost
             return float(np.add.reduce(residuals * residuals))
 
     @override
@@ -89,9 +88,9 @@ class SumSquared(Cost):
 class SumAbsolute(Cost):
     """F = sum of |e(t)| over all outputs of all experiments.
 
-    For data with outliers, where a few large residuals must not decide. It has a kink wherever a
-    residual is 0, so that a method should not need its gradient: `pattern_search` and
-    `nelder_mead` do not. `huber` with a small `scale` is nearly the same and smooth.
+    Use it for data with outliers, if a few large residuals must not dominate. It has a kink where a
+    residual is 0, so use a method without gradients, such as `pattern_search` or `nelder_mead`.
+    `huber` with a small `scale` is almost the same, and smooth.
     """
 
     name: ClassVar[str] = "sae"
@@ -134,15 +133,15 @@ class _RobustCost(Cost):
 
 @dataclass(frozen=True)
 class HuberCost(_RobustCost):
-    """Squares up to `scale`, from there on a straight line: rho(z) = z, then 2 sqrt(z) - 1.
+    """Quadratic up to `scale`, and linear above it: rho(z) = z, then 2 sqrt(z) - 1.
 
-    The first robust cost to try: it has one minimum where the sum of squares has one.
+    This is the first robust cost to try: it has one minimum if the sum of squares has one.
 
     Attributes
     ----------
     scale
-        In units of sigma (of the output, where no sigma is given). 1.345 sigma loses 5 % of the
-        precision of the sum of squares where there are no outliers.
+        In units of sigma (of the output if no sigma is given). Without outliers, 1.345 sigma loses
+        5 % of the precision of the sum of squares.
     """
 
     name: ClassVar[str] = "huber"
@@ -156,18 +155,18 @@ class HuberCost(_RobustCost):
 
 @dataclass(frozen=True)
 class SoftL1(_RobustCost):
-    """A smooth passage from squares to absolute values: rho(z) = 2 (sqrt(1 + z) - 1).
+    """A smooth transition from squares to absolute values: rho(z) = 2 (sqrt(1 + z) - 1).
 
     Attributes
     ----------
     scale
-        In units of sigma (of the output, where no sigma is given).
+        In units of sigma (of the output if no sigma is given).
     """
 
     name: ClassVar[str] = "soft_l1"
 
     def _rho(self, z: FloatArray) -> FloatArray:
-        # the same as 2 (sqrt(1 + z) - 1), without losing the digits of a small z
+        # the same as 2 (sqrt(1 + z) - 1), without a loss of accuracy for small z
         finite = np.minimum(z, np.finfo(float).max)
         return np.where(z <= finite, 2.0 * finite / (np.sqrt(1.0 + finite) + 1.0), np.inf)
 
@@ -177,14 +176,15 @@ class SoftL1(_RobustCost):
 
 @dataclass(frozen=True)
 class CauchyCost(_RobustCost):
-    """Large residuals hardly count: rho(z) = ln(1 + z).
+    """Large residuals have little influence: rho(z) = ln(1 + z).
 
-    For gross outliers. It may have several minima: start close, or from several starts.
+    Use it for gross outliers. It may have several minima, so use a good start value or several
+    starts.
 
     Attributes
     ----------
     scale
-        In units of sigma (of the output, where no sigma is given).
+        In units of sigma (of the output if no sigma is given).
     """
 
     name: ClassVar[str] = "cauchy"
@@ -201,13 +201,13 @@ SMALLEST_SUM = 1e-300
 
 @dataclass(frozen=True)
 class GaussianLikelihood(Cost):
-    """F = sum over outputs of n ln(S / n), with S the output's sum of squares over n residuals.
+    """F = sum over outputs of n ln(S / n); S is the sum of squares of an output's n residuals.
 
-    Twice the negative logarithm of the likelihood, but for a constant, at the most likely standard
-    deviations sqrt(S / n): an output with small residuals counts more, whatever its unit. For
-    several outputs whose noise is not known. With one output its minimum is that of the sum of
-    squares. G. A. F. Seber, C. J. Wild, Nonlinear Regression (1989), doi:10.1002/0471725315,
-    section 2.2. What a cost function returns counts as one output.
+    Up to a constant, this is -2 ln of the likelihood with the most likely standard deviations
+    sqrt(S / n). So outputs with small residuals count more, with any unit. Use it for several
+    outputs with unknown noise. With one output, the minimum is that of the sum of squares (G. A. F.
+    Seber, C. J. Wild, Nonlinear Regression (1989), doi:10.1002/0471725315, section 2.2). The
+    residuals of a cost function count as one output.
     """
 
     name: ClassVar[str] = "likelihood"
@@ -229,7 +229,7 @@ class GaussianLikelihood(Cost):
 
 
 def _output_numbers(residuals: FloatArray, outputs: IntArray) -> IntArray:
-    """Return the output of each residual; one output where none are given."""
+    """Return the output of each residual; one output if none are given."""
     return outputs if len(outputs) else np.zeros(len(residuals), np.int64)
 
 
@@ -246,8 +246,8 @@ def _sums(residuals: FloatArray, outputs: IntArray) -> tuple[FloatArray, FloatAr
 class TotalCost(Cost):
     """F = sum of the numbers that the experiments' cost functions return.
 
-    For a cost function that returns one number. One that returns residuals wants `sse` or another
-    cost of residuals.
+    Use it for cost functions that return one number. For functions that return residuals, use `sse`
+    or another cost of residuals.
     """
 
     name: ClassVar[str] = "total"
@@ -272,6 +272,6 @@ COSTS: dict[str, type[Cost]] = {
 }
 
 COST_ALIASES = {"SSE": SumSquared.name, "residuals": SumSquared.name, "SAE": SumAbsolute.name}
-"""Names that users of other tools know; raw residuals are what every cost of them gets anyway."""
+"""Names that users of other tools know."""
 
 __all__ = ["COSTS", "COST_ALIASES", "Cost"]

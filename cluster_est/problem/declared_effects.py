@@ -1,4 +1,4 @@
-"""Effects of a problem: what is added to the model, and the parameters that come with it."""
+"""Effects of a problem: the terms that are added to the model, and their parameters."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from workers.fmu.description import nearest
 from workers.messages import Effect
 
 LEAST_COEFFICIENT_OVER_START = 1e-3
-"""Lower bound of a coefficient that has a size, over its start. A start is known to be wrong by a
-factor of ten or a hundred; what is a thousandth of it is as good as not there."""
+"""Default lower bound of a positive coefficient, over its start value. Start values may be wrong by
+a factor of ten or a hundred; a thousandth of them is practically 0."""
 
 
 @dataclass(frozen=True)
 class DeclaredCoefficient:
-    """A coefficient of an effect as it is declared.
+    """A declared coefficient of an effect.
 
     Attributes
     ----------
     start
-        Of the estimation; None for the value that does nothing.
+        Start value; None for the value at which the effect has no influence.
     bounds
-        None for those that physics gives. What has a size (a time constant, a width, a speed, a
-        frequency) then begins at a thousandth of its start: at 0 its form divides by it, or it is
-        the end at which nothing happens, where a search would be caught.
+        None for the physical bounds. For a size (a time constant, a width, a speed, a frequency),
+        the lower bound is then a thousandth of the start value. At 0, the form would divide by it,
+        or the effect would have no influence and a search could not leave this point.
     scale
-        See `Parameter`. None for a logarithm where the coefficient has a size, a start above 0 and
-        no bound of 0 or below, and else for a linear scale.
+        See `Parameter`. None: logarithmic if the coefficient is a size with a start value above 0
+        and no bound of 0 or below; linear otherwise.
     fixed, per, unit, prior
         See `Parameter`.
     neutral
-        Of an equation of one's own: the value at which it does nothing.
+        For a user's own equation: the value at which the effect has no influence.
     """
 
     start: float | None = None
@@ -57,12 +57,12 @@ class DeclaredCoefficient:
 
 @dataclass(frozen=True)
 class DeclaredEffect:
-    """An effect as it is declared, by a form of the library or an equation of one's own.
+    """A declared effect, with a form of the library or the user's own equation.
 
     Attributes
     ----------
     name
-        The form if empty.
+        Name of the effect; the name of the form if empty.
     site
         "der(v)", "pair v,w", "input F", "output y" or "parameter k".
     form, equation
@@ -70,11 +70,11 @@ class DeclaredEffect:
     variables
         Arguments of the form; empty for the state of der(STATE).
     coefficients
-        Coefficients of which something is declared, by name.
+        The declared coefficients by name.
     reaction
-        Of an equation at a pair: what is added to the second state's derivative.
+        For an equation at a pair: the term that is added to the second state's derivative.
     shape
-        Of a free curve: how smooth it is, whether it is monotone, and the bounds of its values.
+        For a free curve: its smoothness, whether it is monotonic, and the bounds of its values.
     """
 
     name: str
@@ -91,7 +91,7 @@ class DeclaredEffect:
 class MadeEffect:
     """An effect with its coefficients as parameters, and the constraints between them.
 
-    Beside the coefficients may stand auxiliary parameters, from which a smooth curve follows.
+    Auxiliary parameters may be added, from which the values of a smooth curve are computed.
     """
 
     effect: Effect
@@ -100,7 +100,7 @@ class MadeEffect:
 
 
 UNDECLARED_COEFFICIENT = DeclaredCoefficient()
-"""A coefficient of which nothing is declared."""
+"""A coefficient without declared properties."""
 
 
 def make_effect(declared: DeclaredEffect) -> MadeEffect:
@@ -109,10 +109,10 @@ def make_effect(declared: DeclaredEffect) -> MadeEffect:
     Raises
     ------
     ConfigError
-        If it names both a form and an equation, or neither, or a coefficient that it lacks,
-        starts at 0 what the form divides by, or has the shape of a curve that it is not.
+        If the effect names both a form and an equation, or neither, or an unknown coefficient; if a
+        divisor starts at 0; or if a shape is given for a form that is not a free curve.
     EffectError
-        If there is no such form or site.
+        If the form or the site does not exist.
     """
     from workers.effects.definition import (  # SymPy takes long to import
         coefficients,
@@ -168,7 +168,7 @@ def make_effect(declared: DeclaredEffect) -> MadeEffect:
 
 
 def _chosen_keys(chosen: DeclaredCoefficient) -> tuple[str, ...]:
-    """What is declared of a coefficient beside its start, its unit and what it is by nature."""
+    """Return the declared keys of a coefficient, except start, unit and neutral value."""
     keys = ("bounds", "scale", "fixed", "per", "prior")
     return tuple(
         key for key in keys if getattr(chosen, key) != getattr(UNDECLARED_COEFFICIENT, key)
@@ -182,7 +182,7 @@ def _start(
     *,
     singular: bool,
 ) -> float:
-    """Return where a coefficient starts, or refuse what has no start or may not start there."""
+    """Return the start value of a coefficient; refuse a missing or a forbidden start value."""
     name = declared.name or declared.form
     where = f"effect {name!r}"
     start = chosen.start if chosen.start is not None else coefficient.neutral
@@ -226,10 +226,10 @@ def _parameter(
 
 
 def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
-    """Return what an effect adds to its site, or makes of the signal there.
+    """Return the equation of an effect as a text.
 
-    "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient
-    or a state of its own that has the name of a variable in the equation carries the effect's name
+    "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". If a coefficient or
+    an internal state has the same name as a variable in the equation, the effect's name is put
     before it.
     """
     names = dict(zip(("v", "w"), effect.variables, strict=False))

@@ -1,17 +1,17 @@
-"""The free curve of an effect as a table of values over points, smooth and monotone where known.
+"""The free curve of an effect: a table of values over points, which may be smooth and monotonic.
 
-Without smoothness each value is a parameter of its own. With it, the unknowns are the value and the
-slope at the first point and the change of slope at each point between, of which a prior says that
-it is normal about 0 with a variance that grows with the distance of the points,
+Without smoothness, each value is a parameter. With smoothness, the unknowns are the value and the
+slope at the first point, and the change of slope at each inner point. The prior of these changes is
+normal with mean 0 and a variance that grows with the distance of the points:
 
-    b_i ~ N(0, s^2 (h_(i-1) + h_i) / 2),
+    b_i ~ N(0, s^2 (h_(i-1) + h_i) / 2).
 
-the integrated Wiener process that smoothing splines stand for, as far as the points show it (G.
-Wahba, J. R. Stat. Soc. B 40 (1978) 364-372, doi:10.1111/j.2517-6161.1978.tb01050.x). So more points
-make a table no rougher. The values follow from the unknowns by expressions.
+This is the integrated Wiener process of smoothing splines, at the points of the table (G. Wahba, J.
+R. Stat. Soc. B 40 (1978) 364-372, doi:10.1111/j.2517-6161.1978.tb01050.x). So a table with more
+points is not rougher. Expressions compute the values from the unknowns.
 
-A table may be 0 by definition at one point or two. Then the first value, or the slope too, follow
-from the changes of slope.
+A table may be 0 by definition at one or two points. Then the first value, or the first value and
+the slope, are computed from the changes of slope.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from workers.effects.kinds import EffectForm
 from workers.messages.checks import check_choice, check_number, is_number, shown
 
 FARTHEST_SLOPE_CHANGE = 8.0
-"""Standard deviations up to which a change of slope is searched."""
+"""Bounds of a change of slope, in standard deviations of its prior."""
 Monotone = Literal["", "increasing", "decreasing"]
 UNBOUNDED = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
 class TableShape:
-    """What is known of the shape of a table.
+    """The known properties of a table's shape.
 
     Attributes
     ----------
     slope_change
-        Standard deviation of the change of its slope over one unit of the abscissa; None for no
+        Standard deviation of the change of slope over one unit of the abscissa; None for no
         smoothness.
     monotone
-        "increasing" or "decreasing": a constraint; "" for neither.
+        "increasing" or "decreasing" as a constraint; "" for none.
     bounds
-        Of every value; with `slope_change` of the first one, and of what the others may differ from
-        it by in one interval.
+        Bounds of all values. With `slope_change`, they are the bounds of the first value, and of
+        the change that the first slope causes in one interval.
     """
 
     slope_change: float | None = None
@@ -61,13 +61,13 @@ class TableShape:
 
     @property
     def says_something(self) -> bool:
-        """Whether there is more to it than free values."""
+        """Whether any property is given."""
         return self.slope_change is not None or bool(self.monotone) or self.bounds != UNBOUNDED
 
 
 @dataclass(frozen=True)
 class TableUnknown:
-    """What is searched for a smooth table; `sd` is that of its prior about 0, None without one."""
+    """An unknown of a smooth table; its prior has mean 0 and standard deviation `sd` (or None)."""
 
     name: str
     start: float
@@ -83,17 +83,17 @@ class ValueTable:
     Attributes
     ----------
     where
-        Opens messages.
+        Start of error messages.
     prefix
-        Begins the names of the unknowns of a smooth table.
+        Start of the names of a smooth table's unknowns.
     values
-        Names of the parameters that are its values; None where a value is 0 by definition.
+        Names of the parameters that are the values; None for a value that is 0 by definition.
     points
-        Where they hold, increasing.
+        Increasing abscissas of the values.
     starts
-        One for each point.
+        Start value at each point.
     shape
-        What is known of it.
+        Known properties of the shape.
     """
 
     where: str
@@ -109,16 +109,16 @@ class ValueTable:
 
     @property
     def _zeros(self) -> list[int]:
-        """Positions of the values that are 0 by definition."""
+        """Indices of the values that are 0 by definition."""
         return [i for i, name in enumerate(self.values) if name is None]
 
     def check(self) -> None:
-        """Refuse what contradicts itself.
+        """Refuse contradictory properties.
 
         Raises
         ------
         ConfigError
-            Saying what to change.
+            If points, start values, bounds and shape contradict each other.
         """
         low, high = self.shape.bounds
         if not all(a < b for a, b in pairwise(self.points)):
@@ -145,7 +145,7 @@ class ValueTable:
             )
 
     def unknowns(self) -> Iterator[TableUnknown]:
-        """What a smooth table is made of: first value, first slope, and changes of slope."""
+        """Yield the unknowns of a smooth table: first value, first slope, and changes of slope."""
         change = self.shape.slope_change
         assert change is not None
         (low, high), widths, zeros = self.shape.bounds, self._widths, self._zeros
@@ -163,7 +163,7 @@ class ValueTable:
             yield TableUnknown(self._bend(i), start, -most, most, sd)
 
     def expressions(self) -> Iterator[tuple[str, str]]:
-        """Each value of a smooth table by its name, from the unknowns and the values before it."""
+        """Yield name and expression of each value of a smooth table."""
         widths = self._widths
         texts = [self._first(), f"{self._value(0)} + {widths[0]!r} * ({self._slope()})"]
         for i, (before, width) in enumerate(pairwise(widths), 1):
@@ -174,12 +174,12 @@ class ValueTable:
                 yield name, text
 
     def order(self, steps: str = "") -> Iterator[str]:
-        """The constraints of a monotone table, as texts.
+        """Yield the constraints of a monotonic table, as texts.
 
         Parameters
         ----------
         steps
-            A formula of what every value has more than the one before it, besides the table's own.
+            A formula that is added to the step from each value to the next.
         """
         sign = "<=" if self.shape.monotone == "increasing" else ">="
         for i in range(len(self.values) - 1) if self.shape.monotone else ():
@@ -187,15 +187,15 @@ class ValueTable:
             yield f"{self._value(i)} {sign} {self._value(i + 1)}{more}"
 
     def _bend(self, i: int) -> str:
-        """The change of slope at a point, by its position; its name counts from 1."""
+        """Return the name of the change of slope at point i; names count from 1."""
         return f"{self.prefix}bend_{i + 1}"
 
     def _value(self, i: int) -> str:
-        """The value at a point in a formula."""
+        """Return the value at a point for a formula."""
         return self.values[i] or "0"
 
     def _bent(self, i: int) -> str:
-        """What the changes of slope before a point make of the value there."""
+        """Return the contribution of earlier changes of slope to the value at a point."""
         terms = [
             f"{self.points[i] - self.points[j]!r} * {self._bend(j)}"
             for j in range(1, min(i, len(self.points) - 1))
@@ -203,7 +203,7 @@ class ValueTable:
         return " + ".join(terms) or "0"
 
     def _first(self) -> str:
-        """The first value: a level of its own, or such that the table is 0 where it must be."""
+        """Return the first value: an unknown, or such that the table is 0 at its zero."""
         if not self._zeros:
             return f"{self.prefix}level"
         zero = self._zeros[0]
@@ -211,7 +211,7 @@ class ValueTable:
         return f"-({distance!r} * ({self._slope()}) + {self._bent(zero)})"
 
     def _slope(self) -> str:
-        """The first slope: one of its own, or such that the table is 0 at its second zero too."""
+        """Return the first slope: an unknown, or such that the table is 0 at its second zero."""
         if len(self._zeros) < 2:
             return f"{self.prefix}slope"
         first, second = self._zeros
@@ -220,21 +220,21 @@ class ValueTable:
 
 
 def check_table_name(name: str, where: str, made: str) -> None:
-    """Refuse a name that formulas cannot mention.
+    """Refuse a name that formulas cannot contain.
 
     Parameters
     ----------
     name
-        Of a map or of an effect.
+        Name of a map or an effect.
     where
-        Opens the message.
+        Start of the error message.
     made
-        What the values are called.
+        The names of the values.
 
     Raises
     ------
     ConfigError
-        With what to do.
+        If the name cannot be part of a formula.
     """
     if not all(part.isidentifier() and not keyword.iskeyword(part) for part in name.split(".")):
         raise ConfigError(
@@ -244,30 +244,30 @@ def check_table_name(name: str, where: str, made: str) -> None:
 
 
 UNSHAPED = TableShape()
-"""Free values: nothing is known of a curve."""
+"""Free values without known properties."""
 CURVE_END_COEFFICIENTS = ("low", "high")
 """The coefficients between which a free curve has its points."""
 
 
 @dataclass(frozen=True)
 class ShapedCurve:
-    """A free curve of which more is known than its form.
+    """A free curve with known properties of its shape.
 
     Attributes
     ----------
     name, form
-        Of the effect.
+        Name and form of the effect.
     shape
-        What is known; something must be.
+        The known properties; at least one.
     coefficients
-        Parameters of the form, as they would be without.
+        The parameters of the form without these properties.
     chosen
-        Keys, such as "bounds", that were declared of each coefficient beside its start.
+        Keys, such as "bounds", that were declared for each coefficient in addition to its start.
 
     Raises
     ------
     ConfigError
-        If the form is no free curve, or what is declared contradicts itself.
+        If the form is not a free curve, or if the declared properties contradict each other.
     """
 
     name: str
@@ -300,7 +300,7 @@ class ShapedCurve:
         return bool(getattr(self.shape, key) != getattr(UNSHAPED, key))
 
     def _check_free_of_keys(self, where: str) -> None:
-        """Refuse keys of what follows from other values, or is held."""
+        """Refuse keys of coefficients that are computed from others or fixed."""
         whys = dict.fromkeys(self.form.curve_values, "the value follows from changes of slope")
         whys |= dict.fromkeys(
             CURVE_END_COEFFICIENTS, "changes of slope are defined between fixed points"
@@ -315,13 +315,13 @@ class ShapedCurve:
 
     @cached_property
     def _starts(self) -> dict[str, float]:
-        """Of the coefficients, by their names in the form."""
+        """Return the start values of the coefficients, by their names in the form."""
         cut = len(self.name) + 1
         return {p.name[cut:]: p.start for p in self.coefficients}
 
     @cached_property
     def table(self) -> ValueTable:
-        """The values over their points."""
+        """The table of the curve's values over their points."""
         low, high = (self._starts[name] for name in CURVE_END_COEFFICIENTS)
         if not low < high:
             raise ConfigError(
@@ -339,7 +339,7 @@ class ShapedCurve:
         )
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficients in their order, with what they follow from before them."""
+        """Return the coefficients in their order, after the unknowns from which they follow."""
         if self.shape.slope_change is None:
             return tuple(self._bounded(p) for p in self.coefficients)
         texts = dict(self.table.expressions())
@@ -353,14 +353,14 @@ class ShapedCurve:
         return tuple(found)
 
     def _bounded(self, parameter: Parameter) -> Parameter:
-        """A value within the bounds of all, unless it has its own."""
+        """Return a value with the bounds of the shape, unless it has its own bounds."""
         name = parameter.name[len(self.name) + 1 :]
         if name not in self.form.curve_values or "bounds" in self.chosen.get(name, ()):
             return parameter
         return replace(parameter, bounds=self.shape.bounds)
 
     def constraints(self) -> tuple[ParameterConstraint, ...]:
-        """Constraints that keep a curve monotone; a characteristic, signal and curve together."""
+        """Return constraints for a monotonic curve; for a characteristic, of signal plus curve."""
         known = [*(name for name in self.table.values if name is not None)]
         steps = ""
         if self.form.is_characteristic:
@@ -376,12 +376,12 @@ class ShapedCurve:
 def checked_shape(
     slope_change: float | None, monotone: Monotone, bounds: Sequence[float] | None
 ) -> TableShape:
-    """Return what is known of a curve, each of the kind that it must be.
+    """Return the properties of a curve after a check of their types.
 
     Raises
     ------
     EffectError
-        If one is of another kind.
+        If a property has a wrong type.
     """
     if slope_change is not None:
         check_number(slope_change, "effect.slope_change", EffectError, above=0.0)

@@ -1,8 +1,8 @@
-"""Records with gaps as experiments of their own: what is behind a gap begins anew.
+"""Splits records at gaps: the part after a gap becomes an experiment of its own.
 
-Where a model cannot run through a gap, the part behind it is an experiment with the record's
-parameters, and with initial states of its own, which are estimated along. Where a state cannot be
-set, nothing can be said of what is behind the gap, and it is left out.
+If a model cannot be simulated through a gap, the part after the gap becomes an experiment with the
+record's parameters and its own initial states, which are also estimated. If a state cannot be set,
+the part after the gap is left out.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Experiment, Input, Output, OwnStart
 
 SOON = 3
-"""Samples of an output after which it no longer says what a state began with."""
+"""Number of samples after the start of a part; an output whose first sample comes later does not
+give the initial state."""
 
 
 def split_at_gaps(problem: Problem) -> Problem:
-    """Return a problem whose records are split at their gaps, as each experiment's `gaps` says.
+    """Return a problem whose records are split at gaps according to each experiment's `gaps`.
 
-    The same problem where there is none. The gaps stand in `Problem.gaps`.
+    `Problem.gaps` lists the gaps. Without gaps, the same problem is returned.
 
     Raises
     ------
@@ -52,7 +53,7 @@ def split_at_gaps(problem: Problem) -> Problem:
 
 
 def _each_once(gaps: Sequence[RecordGap]) -> tuple[RecordGap, ...]:
-    """Return gaps without those that overlap an earlier one of their record."""
+    """Return the gaps without those that overlap an earlier gap in the same record."""
     kept: list[RecordGap] = []
     for gap in gaps:
         known = [k for k in kept if k.record == gap.record]
@@ -63,22 +64,22 @@ def _each_once(gaps: Sequence[RecordGap]) -> tuple[RecordGap, ...]:
 
 @dataclass(frozen=True)
 class RestartableStates:
-    """The states of a model as what a part of a record may begin with.
+    """The states of a model, whose initial values a part of a record may set.
 
     Attributes
     ----------
     targets
-        For each state the name by which it is set.
+        For each state, the name by which it is set.
     owner
-        The state of each name that one has.
+        The state to which each name or alias belongs.
     limits
-        By target, what the FMU allows.
+        For each target, the limits in the FMU.
     starts
-        The start of an estimation, by target, where nothing better is known.
+        For each target, the default start value of an estimation.
     added
-        Parameters that are made for those that the problem has none for.
+        New parameters for states that have no parameter in the problem.
     refusal
-        Why a part cannot begin with states of its own; "" if it can.
+        Why a part cannot have its own initial states; "" if it can.
     """
 
     targets: Mapping[str, str] = field(default_factory=dict)
@@ -90,7 +91,7 @@ class RestartableStates:
 
     @classmethod
     def of(cls, problem: Problem, description: ModelDescription) -> RestartableStates:
-        """Look at the states of a problem's model."""
+        """Return the restartable states of a problem's model."""
         if not description.states and problem.model.interface == "co_simulation":
             return cls(refusal=f"{description.file} names no states")
         owner = {
@@ -121,9 +122,10 @@ class RestartableStates:
         return cls(targets, owner, limits, starts, tuple(added))
 
     def own_starts(self, part: Experiment) -> tuple[OwnStart, ...]:
-        """Return what is to be estimated for a part; a state that is an output as it is measured.
+        """Return the initial states to estimate for a part.
 
-        Limits of the FMU that exclude the start say nothing.
+        A state that is also an output starts at its first measured value. Limits of the FMU that
+        exclude the start value are ignored.
         """
         known = dict(part.values)
         found = []
@@ -141,7 +143,7 @@ class RestartableStates:
 
 
 def begins_at(output: Output, start: float) -> bool:
-    """Return whether an output is measured where a part begins, as it is."""
+    """Return whether an output is measured directly and near the start of a part."""
     if len(output.times) < 2 or not output.is_plain:
         return False
     return bool(output.times[0] - start <= SOON * np.median(np.diff(output.times)))
@@ -156,7 +158,7 @@ def _made(target: str, start: float, unit: str, taken: set[str]) -> Parameter:
 
 
 def with_parameters(problem: Problem, added: Sequence[Parameter]) -> Problem:
-    """Return the problem with more parameters of the model, behind those that it has."""
+    """Return the problem with further parameters of the model after the existing ones."""
     count = len(problem.model.parameters)
     inside = [i for i, p in enumerate(problem.parameters) if not p.auxiliary]
     at = inside[count - 1] + 1 if count else 0
@@ -171,7 +173,7 @@ def with_parameters(problem: Problem, added: Sequence[Parameter]) -> Problem:
 def _parts(
     experiment: Experiment, gaps: Sequence[InputGap], states: RestartableStates
 ) -> tuple[list[Experiment], list[RecordGap]]:
-    """Return what becomes of an experiment, and of each of its gaps."""
+    """Return the parts of an experiment, and the treatment of each of its gaps."""
     moving = [gap for gap in gaps if gap.moving]
     said = [_said(experiment, gap, "run through") for gap in gaps if not gap.moving]
     if not moving:
@@ -200,7 +202,7 @@ def _parts(
 
 
 def _needs_whole(experiment: Experiment) -> str:
-    """Say what an experiment has that belongs to its record as a whole; "" for nothing."""
+    """Say what prevents a split because it refers to the whole record; "" for nothing."""
     there = {
         "a curve": experiment.curve is not None,
         "a cost function": experiment.cost_function is not None,
@@ -213,9 +215,9 @@ def _needs_whole(experiment: Experiment) -> str:
 def part_of(
     experiment: Experiment, start: float, stop: float, states: RestartableStates
 ) -> Experiment | None:
-    """Return an experiment from one time to another; None where it would say nothing.
+    """Return the part of an experiment between two times; None if it has too few measured values.
 
-    A part that does not begin where the experiment does has initial states of its own.
+    A part that starts later than the experiment has its own initial states.
     """
     if not start < stop:
         return None
@@ -253,7 +255,7 @@ def _between(output: Output, start: float, stop: float) -> Output:
 
 
 def _driving(given: Input, start: float, stop: float) -> Input:
-    """The samples of an input within a part, and the one before and behind that it needs."""
+    """Return the samples of an input within a part, and the ones before and after it."""
     first = max(int(np.searchsorted(given.times, start, "right")) - 1, 0)
     behind = int(np.searchsorted(given.times, stop, "left")) + 1
     return replace(given, times=given.times[first:behind], values=given.values[first:behind])

@@ -1,4 +1,4 @@
-"""Windows of a record that are held out: a test experiment on the same simulated course."""
+"""Windows of a record that are held out: they become a test experiment."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ HELD_OUT_SUFFIX = " (held out)"
 def hold_out(
     experiment: Experiment, windows: Sequence[tuple[float, float]]
 ) -> tuple[Experiment, Experiment]:
-    """Split a record in what trains and what is only predicted.
+    """Split a record into a training experiment and a test experiment.
 
-    For one long record instead of several experiments. Both parts are simulated from the record's
-    start with the same inputs, and what is estimated per experiment (`x0[run1]`) is estimated from
-    the training part for both, as are the scale, the offset and the bounds of categories of outputs
-    that have such. A window at the end of the record is predicted from the past alone,
-    and the training part is then not simulated beyond it; a window in the middle has data on both
-    of its sides, which makes it easier.
+    This is useful if there is one long record instead of several experiments. Both parts are
+    simulated from the record's start with the same inputs. Values that are estimated per experiment
+    (`x0[run1]`) are estimated from the training part for both parts. The same holds for free
+    scales, free offsets and bounds of categories. A window at the end of the record is predicted
+    from past data only, and the training part is not simulated beyond its last measured value. A
+    window in the middle has data on both sides, so its prediction is easier.
 
     Parameters
     ----------
     experiment
         A training experiment.
     windows
-        (from, to) in seconds: what was measured from `from` to `to`, both included, is held out.
+        Pairs (from, to) in seconds. Values measured in this interval (with its ends) are held out.
 
     Returns
     -------
     train, test
-        "run1" and "run1 (held out)". The first keeps curve, bounds and constraints, which belong
-        to the whole course.
+        "run1" and "run1 (held out)". Curve, bounds and constraints refer to the whole record, so
+        they stay with the first.
 
     Raises
     ------
     DataError
-        If it is no training experiment, a window is wrong, or nothing is left in one of the parts.
+        If it is not a training experiment, a window is invalid, or a part has no measured values.
     """
     where = f"experiment {experiment.id!r}.test_windows"
     _check_windows(windows, where)
@@ -85,7 +85,7 @@ def _check_windows(windows: Sequence[tuple[float, float]], where: str) -> None:
 
 
 def within(times: FloatArray, windows: Sequence[tuple[float, float]]) -> npt.NDArray[np.bool_]:
-    """Return which times lie in one of the windows, both of its ends included."""
+    """Return a mask of the times that lie in one of the windows, including the ends."""
     inside = np.zeros(len(times), dtype=bool)
     for first, last in windows:
         inside |= (times >= first) & (times <= last)
@@ -97,7 +97,7 @@ def _kept(outputs: Sequence[Output], kept: Sequence[npt.NDArray[np.bool_]]) -> t
 
 
 def _learning(held_out: Sequence[Output], train: Sequence[Output]) -> tuple[Output, ...]:
-    """Let what an output learns from measured values come from those of the training part alone."""
+    """Let held-out outputs take what they learn from data (such as a scale) from training data."""
     return tuple(
         replace(own, reference=before) if own.learns and len(before.times) else own
         for own, before in zip(held_out, train, strict=True)
@@ -105,7 +105,7 @@ def _learning(held_out: Sequence[Output], train: Sequence[Output]) -> tuple[Outp
 
 
 def _no_longer_than_measured(train: Experiment) -> Experiment:
-    """End its simulation with its last measured value, unless something else looks further."""
+    """End the training simulation at the last measured value, unless a later part is needed."""
     further = train.curve, train.cost_function, *train.bounds, *train.constraint_functions
     if any(each is not None for each in further):
         return train

@@ -34,32 +34,32 @@ class Parameter:
     Attributes
     ----------
     name
-        What the user calls it.
+        The user's name for the parameter.
     start
-        Where the estimation starts; the value itself if `fixed`.
+        Start value of the estimation; the value itself if `fixed`.
     bounds
-        (lower, upper), in the same physical unit as `start`; infinite where there is none.
+        (lower, upper), in the same physical unit as `start`; infinite if there is no bound.
     scale
-        "log" for a positive value whose order of magnitude is in doubt: methods then see its
+        "log" for a positive value whose order of magnitude is uncertain: methods then search its
         logarithm.
     fixed
-        Keep it at `start`.
+        Whether the parameter keeps its start value.
     variable
-        The FMU's name for it; `name` if empty.
+        The FMU's name for the parameter; `name` if empty.
     per
-        None: one value for all experiments. "experiment": one for each. "group:KEY": one for each
-        label that the experiments have under KEY. "gap": `start`, but one for each part
-        of a record that begins behind a gap.
+        None: one value for all experiments. "experiment": one for each experiment. "group:KEY": one
+        for each label that the experiments have under KEY. "gap": the start value, but one
+        estimated value for each part of a record that begins after a gap.
     unit
-        For tables; filled in from the FMU if empty.
+        Unit for tables; filled in from the FMU if empty.
     expression
-        A formula in other parameters, such as "2 * k1": the value follows from theirs and is not
-        searched for. Bounds that it has become constraints.
+        A formula in other parameters, such as "2 * k1". The value is computed and not estimated.
+        Its bounds become constraints.
     auxiliary
-        Not a variable of the FMU: only expressions and constraints use it.
+        Whether only expressions and constraints use the parameter, which the FMU does not have.
     prior
-        What is known of it before the measurements; with `per`, of each of its values. May be given
-        as a frozen distribution of `scipy.stats` with one mode. None for no more than the bounds.
+        Knowledge of the parameter before the measurements; with `per`, of each of its values. It
+        may be given as a frozen distribution of `scipy.stats` with one mode. None: only the bounds.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A joint estimation: what is to be estimated, from which experiments, with which model."""
+"""A joint estimation: the model, the experiments, and the parameters to estimate."""
 
 from __future__ import annotations
 
@@ -39,34 +39,34 @@ from workers.simulation.fixed_step import communication_notes
 @by_content
 @dataclass(frozen=True, repr=False)
 class Problem:
-    """One joint estimation: a model, what to estimate in it, and from what.
+    """One joint estimation: a model, the parameters to estimate, and the experiments.
 
-    Lists may be given where tuples are kept.
+    Tuples may be given as lists.
 
     Attributes
     ----------
     model, experiments
-        What is simulated, and from which measurements.
+        The simulated model, and the measured experiments.
     cost
-        What is minimised. May be given by its name, "huber", or as a function of all residuals that
-        returns a number; see `FunctionCost`.
+        The cost to minimise. It may be given by name, such as "huber", or as a function of all
+        residuals that returns a number; see `FunctionCost`.
     parameters
-        Parameters of the model, then the coefficients of the effects, called
-        "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere. A model without parameters of its
-        own gets these; another must name the same, in this order.
+        Parameters of the model, followed by the coefficients of the effects, which are called
+        "EFFECT.COEFFICIENT". Auxiliary parameters may be anywhere. If the model lists no
+        parameters, it gets these. Otherwise it must list the same ones in the same order.
     effects
         Terms that are added to the model.
     constraints
-        On parameters; those on signals belong to the experiments.
+        Constraints on parameters; constraints on signals belong to the experiments.
     units
-        (variable of the FMU or signal, unit) where the FMU names none or another; may be given as a
-        dict. No number is converted: tables and words have them.
+        Pairs (variable of the FMU or signal, unit) for units that the FMU does not declare, or
+        declares wrongly; may be given as a dict. They appear only in tables and texts; no number is
+        converted.
     tables
-        The files that experiments were read from, for columns that are not used. No result of a fit
-        depends on them.
+        The files of the experiments, used to find unused columns. No fit depends on them.
     gaps
-        Those of its records, and what became of each; `split_at_gaps` puts them here. No result
-        depends on them.
+        The gaps of the records, and their treatment, from `split_at_gaps`. No result depends on
+        them.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class Problem:
                 f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}; "
                 "reorder them"
             )
-        self.derived  # noqa: B018 - what is wrong is said at once
+        self.derived  # noqa: B018 - raises errors immediately
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
                 'experiments: at least one must have role = "train", because parameters are '
@@ -117,7 +117,7 @@ class Problem:
                 )
 
     def _check_kinds(self) -> None:
-        """Refuse what is of another class than it must be, and make lists tuples."""
+        """Refuse values of a wrong class, and convert lists to tuples."""
         advice = "; make one with read_model(path)"
         check_kind(self.model, Model, "problem.model", ProblemError, advice)
         object.__setattr__(self, "cost", as_cost(self.cost))
@@ -136,7 +136,10 @@ class Problem:
 
     @cached_property
     def derived(self) -> tuple[tuple[int, Formula], ...]:
-        """Parameters that follow from others, by position, each after those that it needs."""
+        """Positions and formulas of the parameters that are computed from others.
+
+        Each one comes after the parameters that it needs.
+        """
         names = tuple(p.name for p in self.parameters)
         waiting = {
             i: Formula(p.expression, names, f"{dotted('parameters', p.name)}.expression")
@@ -158,13 +161,13 @@ class Problem:
 
     @property
     def plain(self) -> bool:
-        """True if all residuals are those of outputs at measured times, and nothing constrains."""
+        """Whether there are only residuals of outputs at measured times, and no constraints."""
         curved = any(e.curve is not None or e.cost_function is not None for e in self.experiments)
         bound = any(e.constraint_names for e in self.experiments)
         return not (curved or bound or self.constraints)
 
     def indices(self, role: str) -> tuple[int, ...]:
-        """Positions of the experiments with this role."""
+        """Return the positions of the experiments with this role."""
         return tuple(i for i, e in enumerate(self.experiments) if e.role == role)
 
     def describe(self) -> ModelDescription:
@@ -188,12 +191,12 @@ class Problem:
         return description
 
     def notes(self) -> tuple[str, ...]:
-        """Say what a user should know about how the FMU is simulated, and with which data.
+        """Return notes for the user on the simulation of the FMU, and on the data.
 
         Raises
         ------
         ModelError, ProblemError
-            As `describe`, or if it cannot be simulated at the experiments' times.
+            As `describe`, or if the FMU cannot be simulated at the experiments' times.
         """
         jumps = jump_findings(
             self.experiments, lambda name: self.describe().holds(name), self.columns
@@ -201,25 +204,25 @@ class Problem:
         return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in jumps))
 
     def model_notes(self) -> tuple[str, ...]:
-        """Say how the FMU is simulated alone; raises as `notes`."""
+        """Return only the notes on the simulation of the FMU; raises as `notes`."""
         if self.model.interface == "model_exchange":
             return ()
         return communication_notes(self.model, self.describe(), self.experiments)
 
     def data_notes(self) -> tuple[str, ...]:
-        """Say which numbers are hardly measurements, and where records have gaps; what to do."""
+        """Return notes on numbers that are probably not measurements, and on gaps in records."""
         gaps = [(said, do) for said, do, _ in gap_findings(self.gaps)]
         found = [*gaps, *self.data_findings]
         return tuple(f"{said}: {do}" if do else said for said, do in found)
 
     @property
     def columns(self) -> dict[str, str]:
-        """Columns of the tables by the keys of a config, as far as they are known."""
+        """The known columns of the tables, by the keys of a config."""
         return {key: column for table in reversed(self.tables) for key, column in table.named}
 
     @cached_property
     def data_findings(self) -> tuple[tuple[str, str], ...]:
-        """What is wrong and what to do, for each number that hardly is a measurement."""
+        """Finding and advice for each number that is probably not a measurement."""
         read = {each.experiment for each in self.tables}
         found = [each for table in self.tables for each in table.stand_ins]
         found += [
@@ -231,7 +234,7 @@ class Problem:
         return stand_in_findings(found, [each for table in self.tables for each in table.missing])
 
     def fix(self, *names: str) -> Problem:
-        """Return the problem with parameters kept at their starts, and without their priors.
+        """Return the problem with parameters fixed at their start values, without their priors.
 
         Raises
         ------
@@ -241,25 +244,25 @@ class Problem:
         return self._changed({name: {"fixed": True, "prior": None} for name in names})
 
     def free(self, name: str, *, bounds: tuple[float, float] | None = None) -> Problem:
-        """Return the problem with a parameter that is estimated, within other bounds if given.
+        """Return the problem with a parameter that is estimated, within new bounds if given.
 
         Raises
         ------
         ProblemError
-            If there is no parameter of that name, or its start lies outside of the bounds.
+            If there is no parameter with this name, or its start value is outside the bounds.
         """
         change: dict[str, Any] = {"fixed": False}
         return self._changed({name: change if bounds is None else change | {"bounds": bounds}})
 
     def with_values(self, values: Mapping[str, float]) -> Problem:
-        """Return the problem with other starts; of a fixed parameter that is its value.
+        """Return the problem with other start values; fixed parameters keep these values.
 
-        A parameter with a value for each experiment has one start for all of them.
+        A parameter with a value for each experiment has one start value for all of them.
 
         Raises
         ------
         ProblemError
-            If there is no parameter of that name, or a start lies outside of its bounds.
+            If there is no parameter with this name, or a start value is outside its bounds.
         """
         advice = '; write a table of names and values such as {"k": 25.0}'
         check_kind(values, Mapping, "with_values", ProblemError, advice)
@@ -279,7 +282,7 @@ class Problem:
         return f"Problem({self.model.name}: {free}; {count} experiment{'s' * (count != 1)})"
 
     def _repr_html_(self) -> str:
-        """Show model, parameters and experiments in a display."""
+        """Return model, parameters and experiments as HTML for a notebook."""
         model = self.model
         kind = model.interface.replace("_", " ")
         title = f"Problem: {model.name}, {kind}, solver {model.solver.name}, cost {self.cost.name}"
@@ -311,11 +314,11 @@ _PROBLEM_LISTS: dict[str, type] = {
     "tables": TableSource,
     "gaps": RecordGap,
 }
-"""The lists of a problem, and what each holds."""
+"""The lists of a problem, and the class of their entries."""
 
 
 def _kind(parameter: Parameter) -> str:
-    """The way in which a parameter is estimated, in a word or two."""
+    """Return in a few words how a parameter is estimated."""
     if parameter.expression:
         return f"= {parameter.expression}"
     if parameter.fixed:

@@ -1,4 +1,4 @@
-"""Process noise: noise that acts on the states, so that a simulation becomes a Kalman filter."""
+"""Process noise: noise that acts on the states; the simulation is then a Kalman filter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cluster_est.problem.problem import Problem
 from workers.messages import Experiment
 
 NEAR_LOWER_BOUND = 1e-6
-"""Distance of a strength from its lower bound, over the range of both, that is negligible."""
+"""Negligible distance of a strength from its lower bound, over the distance of the bounds."""
 FILTERED = (
     "process noise ({names}): errors, curves and residuals come from predictions from each "
     "measured time to the next, which an extended Kalman filter makes, and not from one simulation "
@@ -35,7 +35,7 @@ def noise_parameters(problem: Problem) -> tuple[Parameter, ...]:
 
 
 def without_noise(problem: Problem) -> Problem:
-    """Return the problem without process noise: its simulations go their own way."""
+    """Return the problem without process noise; no filter then corrects its simulations."""
     names, own = noise_names(problem), noise_parameters(problem)
     return replace(
         problem,
@@ -45,7 +45,7 @@ def without_noise(problem: Problem) -> Problem:
 
 
 def process_noise_notes(problem: Problem) -> tuple[str, ...]:
-    """Say what errors mean where there is process noise."""
+    """Say what errors mean if there is process noise."""
     names = noise_names(problem)
     return (FILTERED.format(names=", ".join(names)),) if names else ()
 
@@ -53,14 +53,14 @@ def process_noise_notes(problem: Problem) -> tuple[str, ...]:
 def vanished_noise(
     problem: Problem, values: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[str, ...]:
-    """Say which noise has come out at the lower end of its strength, and what that means.
+    """Say which noise strengths ended at their lower bound, and what this means.
 
     Parameters
     ----------
     problem
-        Whose effects are looked at.
+        The fitted problem.
     values, bounds
-        Of the estimates, by label.
+        Values and bounds of the estimates, by label.
     """
     found = []
     for effect in problem.effects:
@@ -81,19 +81,19 @@ def vanished_noise(
 
 
 def refuse_process_noise(problem: Problem, where: str) -> None:
-    """Refuse process noise for what works on simulations that go their own way.
+    """Refuse process noise for a function that needs simulations without a filter.
 
     Parameters
     ----------
     problem
-        Whose effects are looked at.
+        The problem to check.
     where
-        Opens the message.
+        Start of the error message.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If the problem has process noise.
     """
     names = noise_names(problem)
     if names:
@@ -104,12 +104,12 @@ def refuse_process_noise(problem: Problem, where: str) -> None:
 
 
 def check_process_noise(problem: Problem) -> None:
-    """Refuse process noise where a Kalman filter cannot be used, or would mean something else.
+    """Refuse process noise if a Kalman filter cannot be used or its result would be wrong.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If the model, the cost, the effects or an experiment do not allow process noise.
     """
     names = noise_names(problem)
     if not names:
@@ -154,7 +154,7 @@ def _check_experiment(experiment: Experiment, where: str) -> None:
 
 
 def _check_beside(problem: Problem, where: str) -> None:
-    """Refuse effects that change a signal as a whole, or what is measured."""
+    """Refuse effects at outputs, and effects that change a signal before the simulation."""
     from workers.effects.definition import define_all  # needs SymPy, which is slow to import
 
     description, interface = problem.describe(), problem.model.interface

@@ -1,9 +1,9 @@
-"""The search space: what a method moves, and what that means for each experiment.
+"""The search space: the unknowns of a method, and the parameter values of each experiment.
 
-A parameter with one value for each experiment is as many unknowns as there are experiments, but
-each moves only its own experiment's residuals. So the unknowns are coloured: those of one colour
-touch no experiment in common and can be perturbed in one point (A. R. Curtis, M. J. D. Powell,
-J. K. Reid, IMA J. Appl. Math. 13 (1974) 117-119, doi:10.1093/imamat/13.1.117).
+A parameter with one value per experiment gives as many unknowns as there are experiments, but each
+of them changes only the residuals of its own experiment. So the unknowns are coloured: unknowns of
+one colour have no experiment in common, and one point can perturb all of them (A. R. Curtis, M. J.
+D. Powell, J. K. Reid, IMA J. Appl. Math. 13 (1974) 117-119, doi:10.1093/imamat/13.1.117).
 """
 
 from __future__ import annotations
@@ -32,17 +32,16 @@ from cluster_est.problem.unknowns import (
 from workers.messages import Experiment, FloatArray, IntArray, Want
 
 LEAST_RESIDUALS = 10
-"""Residuals for each output of an experiment, on average, up to which nothing is saved: an answer
-takes about as many bytes besides, and whole residuals may spare another search a simulation."""
+"""Mean number of residuals per output up to which a reduced answer saves nothing: an answer has
+about as many other bytes, and all residuals may save a simulation in another search."""
 
 
 def want_of(experiment: Experiment, cost: Cost | None) -> Want:
-    """Return what is asked for where nothing but this cost is looked at.
+    """Return the kind of answer that an experiment must give if only this cost is needed.
 
-    A cost of None stands for a look at single residuals too.
-
-    It follows from the problem alone, never from what workers do, so that results cannot depend on
-    these. What a cost function of the user's returns is never reduced: it says nothing of outputs.
+    A cost of None means that single residuals are also needed. The answer depends only on the
+    problem and never on the workers, so that results cannot depend on the workers. Values of a
+    user's cost function are never reduced, because they do not belong to outputs.
     """
     if cost is None or cost.reduction is None or experiment.cost_function is not None:
         return "residuals"
@@ -52,33 +51,33 @@ def want_of(experiment: Experiment, cost: Cost | None) -> Want:
 
 _NONE = np.zeros(0)
 _PRIOR = object()
-"""Stands for the priors among the outputs."""
+"""Marks the priors in a list of outputs."""
 
 
 @dataclass(frozen=True)
 class SearchSpace:
     """Some experiments of a problem, and the unknowns that act on them.
 
-    Methods see points x of `size` numbers: physical values, or their logarithms where the
+    Methods use points x with `size` numbers: physical values, or their logarithms if the
     parameter's scale is "log".
 
     Attributes
     ----------
-    problem
-        Whose space it is.
     experiments
-        Indices into the problem's experiments.
+        Indices of the experiments in the problem.
     unknowns
-        What a method moves.
+        The values that a method changes.
     base : (experiments, parameters)
-        Physical values where nothing is moved.
+        Physical values of parameters that are not unknowns.
     reduced
-        Whether nobody looks at single residuals, so that long experiments are answered with one
-        number for each output in their place.
+        Whether single residuals are not needed. Long experiments then return one number for each
+        output instead of its residuals.
     known_priors
-        Priors of unknowns that are fixed here, as along a profile: they still count.
+        Priors of unknowns that are fixed in this space, as along a profile; they still add to the
+        cost.
     continuity
-        Where experiments are segments of records: how one begins as the one before ended.
+        If experiments are segments of records: the conditions that each segment starts where the
+        previous one ended.
     """
 
     problem: Problem
@@ -96,7 +95,7 @@ class SearchSpace:
     @cached_property
     def start(self) -> FloatArray:
         start = np.array([u.to_search(u.start) for u in self.unknowns], np.float64)
-        return np.clip(start, self.lower, self.upper)  # a logarithm may lie just outside
+        return np.clip(start, self.lower, self.upper)  # by rounding, a logarithm may be outside
 
     def starting_at(self, x: FloatArray) -> SearchSpace:
         """Return a space with another start, in search coordinates."""
@@ -116,20 +115,20 @@ class SearchSpace:
 
     @cached_property
     def typical(self) -> FloatArray:
-        """The size of a noticeable change of each unknown, where nothing better is known."""
+        """The size of a noticeable change of each unknown, if nothing better is known."""
         return np.array([u.typical for u in self.unknowns], np.float64)
 
     @cached_property
     def wants(self) -> tuple[Want, ...]:
-        """Requests to each experiment: all residuals, or less."""
+        """The requested kind of answer of each experiment: all residuals, or less."""
         cost = self.problem.cost if self.reduced else None
         return tuple(want_of(self.problem.experiments[e], cost) for e in self.experiments)
 
     @cached_property
     def _counts(self) -> list[tuple[int, ...]]:
-        """For each experiment how many residuals each output has, or what stands for them.
+        """For each experiment, the number of residuals (or replacements) of each output.
 
-        Behind those of its outputs stand those of the priors that are counted with it.
+        The number for the priors that belong to the experiment comes last.
         """
         pairs = zip(self.experiments, self.wants, self.priors.places, strict=True)
         return [
@@ -139,20 +138,21 @@ class SearchSpace:
 
     @cached_property
     def priors(self) -> PriorRows:
-        """The residuals of priors, which stand behind those of the experiments' outputs."""
+        """The residuals of priors, which follow those of the experiments' outputs."""
         return PriorRows(self.unknowns, self.known_priors, len(self.experiments))
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
-        """Slices of each experiment's residuals in the residuals of a point.
+        """The slice of each experiment in the residuals of a point.
 
-        Not those of cost functions, which are known only from an evaluation.
+        Residuals of cost functions are not included, because their number is known only from an
+        evaluation.
         """
         return _slices([sum(counts) for counts in self._counts])
 
     @property
     def free_observations(self) -> int:
-        """The number of scales and offsets of outputs that are estimated along, in closed form."""
+        """The number of scales and offsets of outputs that are also estimated, in closed form."""
         found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
         return sum(o.free_scale + o.free_offset for o in found if len(o.times))
 
@@ -164,15 +164,15 @@ class SearchSpace:
 
     @property
     def has_ordinal_values(self) -> bool:
-        """Whether only the order of some measured values is known: no noise is."""
+        """Whether some measured values are ordinal, so that their noise is not known."""
         found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
         return any(output.ordinal and len(output.times) for output in found)
 
     @cached_property
     def outputs(self) -> IntArray:
-        """(residuals,): which output each residual is of, counted over all experiments.
+        """Index of each residual's output, counted over all experiments: (residuals,).
 
-        A curve counts as one output. Empty where there are cost functions.
+        A curve counts as one output. Empty if there are cost functions.
         """
         known: dict[object, int] = {}
         parts = [np.zeros(0, np.int64)]
@@ -189,7 +189,7 @@ class SearchSpace:
 
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
-        """Of all constraints: those on parameters, then each experiment's."""
+        """Names of all constraints: those on parameters, then those of each experiment."""
         names = [spec.name for spec in self._specs]
         for e in self.experiments:
             experiment = self.problem.experiments[e]
@@ -198,7 +198,7 @@ class SearchSpace:
 
     @cached_property
     def equality(self) -> npt.NDArray[np.bool_]:
-        """(constraints,): whether each must be 0, else at most 0."""
+        """Whether each constraint must be 0, and not only at most 0: (constraints,)."""
         kinds = [spec.constraint.equality for spec in self._specs]
         for e in self.experiments:
             kinds += self.problem.experiments[e].equality
@@ -206,7 +206,7 @@ class SearchSpace:
 
     @cached_property
     def constraint_rows(self) -> tuple[slice, ...]:
-        """Slices of each experiment's constraints among all."""
+        """The slice of each experiment in all constraints."""
         first = len(self._specs)
         sizes = [len(self.problem.experiments[e].constraint_names) for e in self.experiments]
         return tuple(slice(s.start + first, s.stop + first) for s in _slices(sizes))
@@ -217,14 +217,14 @@ class SearchSpace:
         return expand(self.problem, chosen)
 
     def parameter_constraints(self, x: FloatArray) -> FloatArray:
-        """The constraints on parameters at x: the first of `constraint_names`."""
+        """Return the constraints on parameters at x; they come first in `constraint_names`."""
         return evaluate(self._specs, self.problem, self._table(x)) if self._specs else _NONE
 
     def parameter_constraint_jacobian(self, x: FloatArray) -> FloatArray:
-        """(constraints on parameters, unknowns): their derivatives.
+        """Return the derivatives of parameter constraints: (constraints on parameters, unknowns).
 
-        By central differences, one-sided at a bound and where a constraint has no value.
-        They cost no simulation.
+        They are central differences, or one-sided differences at a bound, or if a constraint has no
+        value on one side. They need no simulation.
         """
         derivatives = np.zeros((len(self._specs), self.size))
         if not len(derivatives):
@@ -236,7 +236,7 @@ class SearchSpace:
             low[i] = max(x[i] - step, self.lower[i])
             ahead, behind = self.parameter_constraints(high), self.parameter_constraints(low)
             central = (ahead - behind) / (high[i] - low[i])
-            if not np.isfinite(central).all():  # as beside the end of a root's domain
+            if not np.isfinite(central).all():  # such as near the limit of a root's domain
                 here = self.parameter_constraints(x)
                 with np.errstate(divide="ignore", invalid="ignore"):
                     sides = (ahead - here) / (high[i] - x[i]), (here - behind) / (x[i] - low[i])
@@ -247,7 +247,7 @@ class SearchSpace:
 
     @cached_property
     def acting(self) -> tuple[IntArray, ...]:
-        """For each experiment the unknowns that can move its residuals, in their order."""
+        """For each experiment, the sorted indices of the unknowns that can change its residuals."""
         found: list[list[int]] = [[] for _ in self.experiments]
         for i, touched in enumerate(self._touched):
             for e in touched:
@@ -256,7 +256,7 @@ class SearchSpace:
 
     @cached_property
     def _touched(self) -> list[tuple[int, ...]]:
-        """For each unknown the experiments whose residuals it can move."""
+        """For each unknown, the experiments whose residuals it can change."""
         touched = [set(unknown.experiments) for unknown in self.unknowns]
         if self.continuity is not None:
             for e in self.continuity.of_experiment:
@@ -266,7 +266,7 @@ class SearchSpace:
 
     @property
     def acts_on(self) -> npt.NDArray[np.bool_]:
-        """(unknowns, experiments): whether an unknown is in `acting` of an experiment."""
+        """Whether an unknown can change an experiment's residuals: (unknowns, experiments)."""
         result = np.zeros((self.size, len(self.experiments)), dtype=bool)
         for e, unknowns in enumerate(self.acting):
             result[unknowns, e] = True
@@ -274,7 +274,7 @@ class SearchSpace:
 
     @cached_property
     def colours(self) -> tuple[IntArray, ...]:
-        """Unknowns that share no experiment, colour after colour; each unknown has one colour."""
+        """The unknowns of each colour, which have no experiment in common; see the module."""
         taken: list[set[int]] = []
         members: list[list[int]] = []
         for i, touched in enumerate(self._touched):
@@ -289,14 +289,14 @@ class SearchSpace:
         return tuple(np.array(group, dtype=np.intp) for group in members)
 
     def physical(self, x: FloatArray) -> FloatArray:
-        """(experiments, parameters): the values that each experiment is simulated with at x."""
+        """Return the parameter values of each experiment at x: (experiments, parameters)."""
         table = self._table(x)
         parameters = self.problem.parameters
         inside = [i for i, p in enumerate(parameters) if not p.auxiliary]
         return table if len(inside) == len(parameters) else np.ascontiguousarray(table[:, inside])
 
     def _table(self, x: FloatArray) -> FloatArray:
-        """(experiments, all parameters): with what follows from others, and auxiliary ones."""
+        """Return all values, with derived and auxiliary parameters: (experiments, parameters)."""
         values = self.base.copy()
         rows, places, counts = self._places
         moved = x.astype(np.float64)
@@ -312,7 +312,7 @@ class SearchSpace:
 
     @cached_property
     def _places(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Places of the unknowns in the table, one after the other, and the number of each."""
+        """Rows and columns of the unknowns in the table, and the number of places of each one."""
         counts = np.array([len(u.experiments) for u in self.unknowns], np.intp)
         rows = np.fromiter((e for u in self.unknowns for e in u.experiments), np.intp)
         columns = np.array([u.column for u in self.unknowns], np.intp)
@@ -320,18 +320,18 @@ class SearchSpace:
 
     @cached_property
     def logarithmic(self) -> npt.NDArray[np.bool_]:
-        """(unknowns,): whether each is searched by its logarithm."""
+        """Whether the logarithm of each unknown is searched: (unknowns,)."""
         return np.array([unknown.log for unknown in self.unknowns], dtype=bool)
 
     @cached_property
     def _free(self) -> npt.NDArray[np.bool_]:
-        """(experiments, all parameters): whether the experiment brings no value of its own."""
+        """Whether an experiment does not set a parameter itself: (experiments, all parameters)."""
         chosen = [self.problem.experiments[e] for e in self.experiments]
         given = [{*dict(e.values), *(own.variable for own in e.own_starts)} for e in chosen]
         return np.array([[p.target not in g for p in self.problem.parameters] for g in given])
 
     def derived(self, x: FloatArray) -> dict[str, float]:
-        """Physical values, by label, of what follows from others at x."""
+        """Return the physical values at x of parameters computed from others, by label."""
         table = self._table(x)
         found: dict[str, float] = {}
         for i, _ in self.problem.derived:
@@ -343,7 +343,7 @@ class SearchSpace:
         return found
 
     def estimates(self, x: FloatArray) -> dict[str, float]:
-        """Physical values by label."""
+        """Return the physical values of the unknowns at x, by label."""
         pairs = zip(self.unknowns, x.tolist(), strict=True)
         return {unknown.label: unknown.to_physical(searched) for unknown, searched in pairs}
 
@@ -354,19 +354,19 @@ def make_space(
     known: Mapping[str, float] | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> SearchSpace:
-    """Expand parameters into unknowns, over some of the experiments.
+    """Expand parameters into unknowns for some of the experiments.
 
     Parameters
     ----------
     problem
-        What is estimated.
+        The problem.
     experiments
-        Indices of the experiments that the search may see.
+        Indices of the experiments that the search may use.
     known
-        Physical values by label: those are kept, not searched. This is how test experiments get
-        the shared values that the training experiments gave.
+        Physical values by label that are fixed. So test experiments get the shared values that were
+        estimated on the training experiments.
     starts
-        Physical values by label that the search starts from, instead of the parameters' own.
+        Physical start values by label, instead of the parameters' own.
     """
     known, starts = known or {}, starts or {}
     chosen = [problem.experiments[e] for e in experiments]
@@ -392,7 +392,7 @@ def make_space(
 
 
 def _of_part(parameter: Parameter, experiment: Experiment) -> Parameter:
-    """Return a parameter as an experiment has it: behind a gap nothing is known of its start."""
+    """Return a parameter for an experiment; an initial state after a gap has no prior and scale."""
     for own in experiment.own_starts:
         if own.variable == parameter.target:
             return Parameter(

@@ -1,8 +1,8 @@
 """Sensors whose scale or offset is the same in all experiments: an effect at an output.
 
-What an experiment's residuals take the best scale for themselves cannot be one for all of them, for
-each experiment is simulated and compared alone. As the coefficients of an effect it is: two linear
-unknowns, with standard errors, that held-out experiments share.
+Each experiment is simulated and compared separately, so a scale that is computed with its residuals
+cannot be the same for all experiments. The coefficients of an effect can. They are two linear
+unknowns with standard errors, and held-out experiments use the same values.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from workers.messages import Effect
 
 SCALE, OFFSET = "scale", "offset"
 NEUTRAL = {SCALE: 1.0, OFFSET: 0.0}
-"""The coefficients with which a sensor shows what it measures."""
+"""The coefficients of an ideal sensor."""
 _EQUATIONS = {
     (True, True): "scale * s + offset",
     (True, False): "scale * s",
@@ -33,21 +33,21 @@ _SITE = "output "
 def shared_sensor(output: str, *, scale: bool = True, offset: bool = False) -> MadeEffect:
     """Return the effect of an output's sensor, and its coefficients as parameters.
 
-    A config asks for it by free_scale = "shared". For a scale that some experiments share, such as
-    those with one sensor, replace the parameters' `per` by "group:KEY".
+    In a config, this is free_scale = "shared". If only some experiments share a scale, such as
+    those with the same sensor, replace the parameters' `per` by "group:KEY".
 
     Parameters
     ----------
     output
-        Of the FMU; what is compared is scale times it, plus offset.
+        Output of the FMU. The measured values are compared with scale * output + offset.
     scale, offset
-        Which of the two are unknown; at least one.
+        Whether each of the two is unknown; at least one must be.
 
     Returns
     -------
     MadeEffect
-        "sensor_OUTPUT" and its parameters "sensor_OUTPUT.scale" and "sensor_OUTPUT.offset", to be
-        appended to those of a problem.
+        The effect "sensor_OUTPUT" and its parameters "sensor_OUTPUT.scale" and
+        "sensor_OUTPUT.offset". Append both to those of a problem.
     """
     wanted = {SCALE: scale, OFFSET: offset}
     return make_effect(
@@ -65,7 +65,7 @@ def shared_sensor(output: str, *, scale: bool = True, offset: bool = False) -> M
 
 
 def sensor_outputs(problem: Problem) -> frozenset[str]:
-    """Return the outputs that are seen through a sensor's scale or offset."""
+    """Return the outputs that have a shared scale or offset."""
     sites = [e.site for e in problem.effects if _is_sensor(e)]
     return frozenset(site.removeprefix(_SITE) for site in sites)
 
@@ -76,16 +76,16 @@ def _is_sensor(effect: Effect) -> bool:
 
 @dataclass(frozen=True)
 class UnstartedSensor:
-    """A sensor of a search space, of whose scale or offset no start is known.
+    """A sensor whose scale or offset has no start value from the user.
 
     Attributes
     ----------
     output
-        What it measures.
+        The output that it measures.
     experiments
-        Positions in the space of the experiments that have it.
+        Positions in the search space of the experiments with this sensor.
     scale, offset
-        Indices of its unknowns; None where it has none, or it has a start of its own.
+        Indices of its unknowns; None if the value is not unknown, or has a start value.
     """
 
     output: str
@@ -95,12 +95,12 @@ class UnstartedSensor:
 
     @property
     def unknowns(self) -> tuple[int, ...]:
-        """Indices of those that it has."""
+        """Indices of the sensor's unknowns."""
         return tuple(i for i in (self.scale, self.offset) if i is not None)
 
 
 def unstarted_sensors(space: SearchSpace) -> tuple[UnstartedSensor, ...]:
-    """Return the sensors of a space whose scale and offset start at those of a perfect one."""
+    """Return the sensors of a space whose scale or offset starts at that of an ideal sensor."""
     found = []
     for effect in space.problem.effects:
         if not _is_sensor(effect):

@@ -1,4 +1,4 @@
-"""Residuals of a poor fit that are large just after an input jumps: in which record, and when."""
+"""Detects large residuals of a poor fit just after jumps of an input."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from workers.messages import Experiment, FloatArray
 
 SAMPLES = 10
-"""Samples after a jump that its answer is looked for in."""
+"""Number of samples after a jump that count as being just after it."""
 TIMES_AS_LARGE = 2.0
-"""Root mean square after jumps over that elsewhere, from which on the jumps are named."""
+"""Least ratio of the root mean square after jumps to that elsewhere, for a note."""
 MOST_OF_RECORD = 0.5
-"""Share of the samples that are after jumps, from which on nothing stands out there."""
+"""Largest share of the samples that are after jumps; above it, these are not exceptional."""
 LEAST_SAMPLES = 10
 
 
@@ -38,16 +38,16 @@ def after_jump_sentences(
     diagnostics: ResidualDiagnostics,
     told: str = "",
 ) -> tuple[str, ...]:
-    """Say of a poor fit where its largest residual follows a jump that was made a ramp.
+    """Say where residuals are largest just after a jump that interpolation turned into a ramp.
 
     Parameters
     ----------
     problem, simulations
-        Of the fit, at the estimates.
+        The fitted problem, and its simulations at the estimates.
     diagnostics
-        What is wrong with its residuals; nothing is said where that is nothing.
+        Findings on the residuals. Without findings, no sentence is returned.
     told
-        An input of which more is said elsewhere.
+        An input that other sentences describe; it is left out here.
     """
     if not diagnostics.findings:
         return ()
@@ -87,7 +87,7 @@ def _sentence(problem: Problem, name: str, place: _Place, output: str) -> str:
 def _largest(
     runs: Sequence[tuple[Simulation, Experiment]], name: str, variable: str
 ) -> _Place | None:
-    """Return the largest residual after jumps of an input; None if it is no larger there."""
+    """Return the largest residual after jumps of an input; None if none is clearly larger there."""
     inside: list[FloatArray] = []
     outside: list[FloatArray] = []
     places: list[_Place] = []

@@ -1,4 +1,4 @@
-"""Models of the same measured values beside each other, by criteria and by held-out data."""
+"""Comparison of models of the same measured values, by criteria and by held-out data."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """One model among others, a row of a comparison.
+    """One model of a comparison.
 
     Attributes
     ----------
     model
-        Its name.
+        Name of the model.
     estimated
-        How many numbers, noise levels among them; see `InformationCriteria`.
+        Number of estimated values, including noise levels; see `InformationCriteria`.
     log_likelihood, aic, aicc, bic
-        NaN for all models where one of them has none.
+        NaN for all models if one of them has no criteria.
     aic_difference, bic_difference
-        To the smallest.
+        Difference to the smallest value of all models.
     aic_weight
-        exp(-difference / 2), over their sum: the share of each model among these, K. P. Burnham,
-        D. R. Anderson, Model Selection and Multimodel Inference (2002), doi:10.1007/b97636.
+        Akaike weight: exp(-difference / 2), divided by the sum over all models (K. P. Burnham, D.
+        R. Anderson, Model Selection and Multimodel Inference (2002), doi:10.1007/b97636).
     train, held_out
-        Root mean square errors over sigma; NaN without held-out experiments.
+        Root mean square errors over sigma; `held_out` is NaN without held-out experiments.
     """
 
     model: str
@@ -60,9 +60,9 @@ class Comparison:
     Attributes
     ----------
     models
-        By AIC; by the held-out error where there are no criteria.
+        Sorted by AIC, or by the held-out error if there are no criteria.
     notes
-        Sentences on what the numbers do not say.
+        Sentences on the limits of the comparison.
     """
 
     models: tuple[ComparedModel, ...]
@@ -70,11 +70,11 @@ class Comparison:
 
     @property
     def best(self) -> str:
-        """The name of the first."""
+        """The name of the best model."""
         return self.models[0].model
 
     def to_frame(self) -> pd.DataFrame:
-        """Return the models as a frame of pandas, which must be installed."""
+        """Return the models as a pandas DataFrame; pandas must be installed."""
         return display.as_frame(pa.Table.from_pylist([vars(each) for each in self.models]))
 
     @property
@@ -101,21 +101,22 @@ class Comparison:
 def compare(results: Mapping[str, ResultView] | ResultView, *others: ResultView) -> Comparison:
     """Compare models that were fitted to the same training experiments.
 
-    Criteria judge models by the data that they were fitted to, for white noise; an error on
-    held-out data needs no such assumption. A difference of AIC below 2 says nothing.
+    Criteria use the data to which the models were fitted, and assume white noise. An error on
+    held-out data needs no such assumption. A difference of AIC below 2 is not significant.
 
     Parameters
     ----------
     results
-        Results of `fit`, `close_loop` or `load` by name, {"linear": a, "friction": b}; or the
-        first of several, which are then called "1", "2", ...
+        Results of `fit`, `close_loop` or `load` by name: {"linear": a, "friction": b}. Or the first
+        of several results, which are then called "1", "2", ...
     others
-        The others.
+        The other results, if `results` is a single result.
 
     Raises
     ------
     ProblemError
-        If there are fewer than two, one is no result, or they are of other measured values.
+        If there are fewer than two results, an argument is not a result, or the results have
+        different measured values.
     """
     if not isinstance(results, Mapping):
         results = {str(i): each for i, each in enumerate((results, *others), start=1)}

@@ -1,4 +1,4 @@
-"""From a solution to a result: test records, errors, tables and intervals."""
+"""Makes a result from a solution: test records, errors, tables and intervals."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
 SAME_SIMULATION = 1e-5
-"""Part of what was measured: rounded values and other steps of a solver change a simulation by
-less."""
+"""Relative change, compared with the measured values, above which a repeated simulation differs.
+Rounded values and other solver steps cause smaller changes."""
 BEFORE_BYTES = 2**28
-"""Bytes of all trajectories at the start values together: more are not kept until the end of a
+"""Largest size in bytes of all trajectories at the start values that are kept until the end of a
 fit."""
 
 
@@ -49,30 +49,30 @@ def complete(
     Parameters
     ----------
     runner
-        Where the simulations run that this still needs.
+        Runs the remaining simulations.
     train, solution
-        The search's space and what it found there.
+        The search space of the training experiments, and the solution.
     method
-        For what belongs to test records alone.
+        Method of the search for values that belong only to test records.
     before
-        Every experiment at the start values.
+        Simulations of all experiments at the start values.
     variables
-        Of the FMU, for units and descriptions.
+        Variables of the FMU, for units and descriptions.
     seed, begin
-        Of the run; `begin` is a reading of the monotonic clock.
+        Random seed and start time of the run; `begin` is a reading of the monotonic clock.
     steps
-        Keeps what fails here.
+        Stores sentences on steps that fail.
     uncertainty
-        The solution's; from its Jacobian alone if None.
+        Uncertainty of the solution; None to compute it from the solution's Jacobian.
     segmented
-        Of experiments that are not simulated in one piece.
+        Simulations of experiments that are simulated in segments.
     """
     problem = train.problem
     units = {name: each.unit for name, each in variables.items()}
     units |= tables.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
     test_solution = None
-    if test.size and not runner.interrupted:  # it has what no training record has
+    if test.size and not runner.interrupted:  # test records have unknowns of their own
         test = with_sizes(runner, test)
         (test_solution,) = runner.run([SearchRequest("test", method, test, seed)])
     known = train.estimates(solution.x)
@@ -121,7 +121,7 @@ def complete(
 
 
 def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
-    """The simulations that are drawn later, if they are no burden."""
+    """Return the simulations for later plots; () if they need too much memory."""
     paths = [s.outcome.trajectory for s in simulations]
     if sum(path.values.nbytes for path in paths if path is not None) > BEFORE_BYTES:
         return ()
@@ -134,9 +134,9 @@ def simulate_all(
     known: dict[str, float],
     segmented: Sequence[Simulation] = (),
 ) -> list[Simulation]:
-    """Every experiment once, at values given by label, else at the start values.
+    """Simulate each experiment once, with given values by label and other start values.
 
-    Those that are there already, from segments, are not simulated again.
+    Experiments in `segmented` are not simulated again.
     """
     there = {each.experiment: each for each in segmented}
     missing = [e for e in range(len(problem.experiments)) if e not in there]
@@ -149,7 +149,7 @@ def simulate_all(
 
 
 def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation]) -> str:
-    """Say so if the simulation at a solution does not come out a second time; else ""."""
+    """Say if a second simulation at the solution gives other results; "" otherwise."""
     found = None if solution.at is None else solution.at.residuals
     outcomes = [with_priors(space, solution.x, i, after[e].outcome) for i, e in
                 enumerate(space.experiments)]  # fmt: skip
@@ -173,7 +173,7 @@ def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation
 def _whole(
     space: SearchSpace, solution: Solution, method: Method, after: list[Simulation]
 ) -> Solution:
-    """The solution with every residual at its point, where its search was sent reduced ones."""
+    """Return the solution with all residuals, if its search only received reduced residuals."""
     if solution.at is None or suited(space, method).wants == space.wants:
         return solution
     bare = [replace(after[e].outcome, trajectory=None) for e in space.experiments]
@@ -183,7 +183,7 @@ def _whole(
 
 
 def _cost(train: SearchSpace, x: FloatArray, simulations: list[Simulation]) -> float:
-    """The cost of the training experiments, with their priors at x; NaN if one of them failed."""
+    """Return the cost of the training experiments and priors at x; NaN if a simulation failed."""
     chosen = {s.experiment: s.outcome for s in simulations}
     outcomes = [with_priors(train, x, i, chosen[e]) for i, e in enumerate(train.experiments)]
     known = [outcome.residuals for outcome in outcomes if outcome.residuals is not None]

@@ -1,6 +1,6 @@
-"""Information criteria of a fit: AIC, AICc and BIC, where its cost is a likelihood.
+"""Information criteria of a fit: AIC, AICc and BIC, if its cost is a likelihood.
 
-With L the largest likelihood of n measured values and k estimated numbers,
+With the maximum likelihood L of n measured values and k estimated values,
 
     AIC = 2 k - 2 ln L,    AICc = AIC + 2 k (k + 1) / (n - k - 1),    BIC = k ln n - 2 ln L:
 
@@ -8,8 +8,8 @@ H. Akaike, IEEE Trans. Automat. Control 19 (1974) 716-723, doi:10.1109/TAC.1974.
 Hurvich, C.-L. Tsai, Biometrika 76 (1989) 297-307, doi:10.1093/biomet/76.2.297; G. Schwarz, Ann.
 Statist. 6 (1978) 461-464, doi:10.1214/aos/1176344136.
 
-The noise is taken for normal and white. Where residuals are autocorrelated, n counts values that
-say nothing new, and all three prefer models that are too large: look at held-out data first.
+The criteria assume normal, white noise. With autocorrelated residuals, n overestimates the
+information, and all three criteria prefer models that are too large. Use held-out data then.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from workers.messages.types import content_hash
 
 @dataclass(frozen=True)
 class InformationCriteria:
-    """What a fit is worth against others of the same measured values: smaller is better.
+    """Criteria to compare fits of the same measured values; smaller is better.
 
     Attributes
     ----------
     log_likelihood
-        ln L, a density of the measured values in their units. NaN where `why_not` says why.
+        ln L, where L is a density of the measured values in their units; NaN without criteria.
     observations, estimated
-        n and k; k counts the estimated noise levels too.
+        n and k; k includes the estimated noise levels.
     aic, aicc, bic
-        See the module. `aicc` is infinite where n is no larger than k + 1.
+        See the module. `aicc` is infinite if n <= k + 1.
     data
-        A hash of the measured training values: criteria compare fits of the same values alone.
+        Hash of the measured training values; only fits of the same values can be compared.
     why_not
-        The reason why there are none; "" if there are.
+        The reason why there are no criteria; "" if there are.
     """
 
     log_likelihood: float = math.nan
@@ -57,7 +57,7 @@ class InformationCriteria:
 
     @classmethod
     def of(cls, log_likelihood: float, observations: int, estimated: int, data: str = "") -> Self:
-        """Return the criteria that follow from a likelihood."""
+        """Return the criteria for a log likelihood."""
         n, k = observations, estimated
         aic = 2.0 * k - 2.0 * log_likelihood
         left = n - k - 1
@@ -67,7 +67,7 @@ class InformationCriteria:
 
     @classmethod
     def from_facts(cls, facts: Mapping[str, Any] | None) -> Self:
-        """Return those of run.json, where null stands for NaN."""
+        """Return the criteria from run.json, in which NaN is null."""
         if not facts:
             return cls(why_not="this run was made by a version that did not compute them")
         known = {each.name for each in fields(cls)}
@@ -79,24 +79,24 @@ class InformationCriteria:
 def information_criteria(
     problem: Problem, residuals: FloatArray | None, unknowns: int
 ) -> InformationCriteria:
-    """Return the criteria of a fit; without numbers, and with a reason, where they mean nothing.
+    """Return the criteria of a fit; if they do not apply, NaN and the reason.
 
-    Three kinds of noise are known. With a sigma for every output and the cost "sse",
+    There are three cases. With a sigma for every output and the cost "sse",
 
         -2 ln L = sum of r^2 + sum of ln(2 pi sigma^2).
 
-    Without any sigma, "sse" takes one for all outputs, which is estimated, sigma^2 = S / n with S
-    the sum of squares: -2 ln L = n ln(2 pi S / n) + n. The cost "likelihood" estimates one for
-    each output.
+    Without any sigma, "sse" assumes one sigma for all outputs. It is estimated: sigma^2 = S / n,
+    with the sum of squares S, so that -2 ln L = n ln(2 pi S / n) + n. The cost "likelihood"
+    estimates a sigma for each output.
 
     Parameters
     ----------
     problem
         Model, training experiments and cost.
     residuals
-        (measured - simulated) / sigma of the training experiments; None where one failed.
+        (measured - simulated) / sigma of the training experiments; None if a simulation failed.
     unknowns
-        How many numbers were estimated.
+        Number of estimated values.
     """
     outputs = [o for e in problem.indices("train") for o in problem.experiments[e].outputs]
     why_not = _why_not(problem, outputs)
@@ -121,13 +121,13 @@ def information_criteria(
 
 
 def _estimated_noise(residuals: FloatArray) -> float:
-    """-2 ln L of values with the noise level that suits them best, without ln(2 pi sigma^2)."""
+    """Return -2 ln L with the best noise level, without the sum of ln(2 pi sigma^2)."""
     square = float(np.mean(residuals**2))
     return len(residuals) * (math.log(square) + 1.0) if square > 0.0 else -math.inf
 
 
 def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
-    """Why the cost at a fit is no likelihood of the measured values alone; "" if it is."""
+    """Say why the cost is not a likelihood of only the measured values; "" if it is."""
     given = [output.has_sigma for output in outputs]
     sums = isinstance(problem.cost, SumSquared)
     reasons = {
@@ -153,7 +153,7 @@ def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
 
 
 def _hash_of(problem: Problem) -> str:
-    """A hash of what was measured in the training experiments, whatever sigma says of it."""
+    """Return a hash of the measured training values, independent of sigma."""
     parts: list[str | bytes] = []
     for e in problem.indices("train"):
         experiment = problem.experiments[e]

@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 
 
 PRIOR_CONTRADICTION = 2.0
-"""Standard deviations from the centre of a prior beyond which an estimate contradicts it: one of
-twenty lies there by chance."""
+"""Distance from the centre of a prior, in standard deviations, above which an estimate contradicts
+the prior. By chance, 1 of 20 estimates is that far away."""
 
 
 def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """Say what the priors add to the cost, and which estimates lie far from theirs.
+    """Say how much the priors add to the cost, and which estimates contradict their priors.
 
     Parameters
     ----------
     problem
-        Whose parameters have priors, or none.
+        The fitted problem.
     estimates
-        All values of a fit; those of held-out data count in no cost of the training data.
+        All estimates of a fit. Values that were estimated on held-out data do not add to the cost.
     """
     priors = {p.name: p.prior for p in problem.parameters if p.prior is not None}
     known = [(e, priors[e.parameter], e.estimated_on) for e in estimates if e.parameter in priors]
@@ -70,7 +70,7 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
 
 
 def residual_facts(diagnostics: ResidualDiagnostics) -> dict[str, Any]:
-    """Return what run.json says of the residuals."""
+    """Return the entries of run.json on the residuals."""
     together = diagnostics.together
     return {
         "too_narrow": diagnostics.too_narrow,
@@ -81,13 +81,13 @@ def residual_facts(diagnostics: ResidualDiagnostics) -> dict[str, Any]:
 
 
 HELD_OUT = 2.0
-"""Held-out error over that of training from which on it is doubtful what the fit predicts."""
+"""Ratio of the held-out error to the training error above which predictions are doubtful."""
 MOST_NAMED_VALUES = 3
-"""Values that a note names; it counts the others."""
+"""Largest number of values that a note names; further values are only counted."""
 
 
 def fit_facts(result: Result) -> dict[str, Any]:
-    """Return what run.json says of a fit, besides what the run's folder knows itself."""
+    """Return the entries of run.json on a fit, except those that the run's folder adds."""
     diagnostics = result.diagnostics
     return {
         "ending": result.solution.ending.name.lower(),
@@ -111,7 +111,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
 
 
 def fit_notes(result: Result) -> tuple[str, ...]:
-    """Sentences about the simulations, the residuals and the uncertainty."""
+    """Return notes on the data, the simulations, the residuals and the uncertainty."""
     problem = result.problem
     notes = [*(each.sentence for each in result.record_faults)]
     notes += [*result.failed_steps, *problem.notes()]
@@ -144,14 +144,17 @@ def fit_notes(result: Result) -> tuple[str, ...]:
 
 
 def _wrong_phase(result: Result) -> tuple[str, ...]:
-    """Say that another start may find another minimum; segments look after phases themselves."""
+    """Say that other start values may lead to another minimum.
+
+    This does not apply to fits with segments (multiple shooting), which keep the phase.
+    """
     if result.shooting is not None:
         return ()
     return wrong_phase_notes(result.problem, result.simulations, max(len(result.starts), 1))
 
 
 def interpolation_sentences(result: Result) -> tuple[str, ...]:
-    """Say which input may have to be interpolated otherwise, and which record shows it."""
+    """Say which inputs may need another interpolation, and which record shows this."""
     other = result.interpolation
     told = "" if other is None else other.variable
     said = () if other is None else (other.sentence,)
@@ -164,7 +167,7 @@ def interpolation_sentences(result: Result) -> tuple[str, ...]:
 
 
 def fit_doubts(result: Result) -> tuple[str, ...]:
-    """Say in a few words what is doubtful of the solution of a fit; its notes say more of it."""
+    """Return short doubts about the solution of a fit; the notes give details."""
     doubts = []
     found = () if result.diagnostics is None else result.diagnostics.findings
     narrow = [each for each in found if each.too_narrow]
@@ -192,7 +195,7 @@ def _over_noise(output: OutputDiagnostics) -> float:
 
 
 def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """Say which values were fitted to held-out data, whose errors are then no pure predictions."""
+    """Say which values were fitted to held-out data, so that their errors are not predictions."""
     labels = [each.label for each in estimates if each.estimated_on == "test"]
     if not labels:
         return ()

@@ -1,4 +1,4 @@
-"""The tables of a fit: one class for the rows of each, and how they are made."""
+"""The tables of a fit: a class for the rows of each table, and functions that make them."""
 
 from __future__ import annotations
 
@@ -24,32 +24,33 @@ from workers.messages.types import by_content
 @by_content
 @dataclass(frozen=True)
 class Estimate:
-    """One estimated number, a row of parameters.parquet.
+    """One estimated value, a row of parameters.parquet.
 
     Attributes
     ----------
     label
-        "k", or "x0[exp5]" where the parameter has a value of its own there.
+        "k", or "x0[exp5]" if the parameter has its own value in experiment exp5.
     parameter, variable, unit
-        The parameter that it belongs to, the FMU's name and unit for it.
+        The parameter of this value, and the FMU's name and unit for it.
     scope
-        "shared", or the experiment or group that the value is for.
+        "shared", or the experiment or group of the value.
     value, start, lower, upper
-        Physical values.
+        Estimate, start value and bounds in physical units.
     std_error, lower95, upper95
-        NaN where the data do not determine the value, or hold it at a bound.
+        Standard error and 95 % interval; NaN if the data do not determine the value, or if it is at
+        a bound.
     error_white, error_autoregression, error_experiments
-        The standard error for white noise, for noise that is an autoregression, and from the
-        scatter of the experiments; NaN where one is missing. `std_error` is one of them.
+        The standard error for white noise, for autoregressive noise, and from the scatter of the
+        experiments; NaN if it was not computed. `std_error` is one of them.
     at_bound
         "lower", "upper" or "".
     difference_step
         Step of the last finite difference, in search coordinates; NaN if there was none.
     estimated_on
-        "train", or "test" for a value that belongs to a test record alone; "known" if fixed,
-        "derived" if it follows from others.
+        "train", or "test" for a value that belongs only to a test record; "known" if fixed,
+        "derived" if computed from others.
     description
-        What the FMU says that it is; "" if nothing.
+        The FMU's description of the parameter; "" if it has none.
     """
 
     label: str
@@ -75,12 +76,12 @@ class Estimate:
 
     @property
     def stderr(self) -> float:
-        """The standard error, by the name that SciPy and lmfit have for it."""
+        """The standard error, under its name in SciPy and lmfit."""
         return self.std_error
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The ends of the 95 % interval, in the unit of `value`; NaN where there is none."""
+        """The ends of the 95 % interval, in the unit of `value`; NaN if there is none."""
         return self.lower95, self.upper95
 
 
@@ -88,8 +89,9 @@ class Estimate:
 class ConstraintValue:
     """One constraint, a row of constraints.parquet.
 
-    `before` and `after` are at the start and at the estimates, in units of the constraint's scale:
-    at most 0 where `kind` is "<= 0", 0 where it is "= 0". NaN where a simulation failed.
+    `before` is at the start values, `after` at the estimates; both are divided by the constraint's
+    scale. They must be at most 0 if `kind` is "<= 0", and 0 if `kind` is "= 0". NaN if a simulation
+    failed.
     """
 
     constraint: str
@@ -101,16 +103,16 @@ class ConstraintValue:
 
 @dataclass(frozen=True)
 class StartResult:
-    """One start of several, a row of starts.parquet.
+    """One start of a multi-start, a row of starts.parquet.
 
     Attributes
     ----------
     start
-        Its number; 0 is the parameters' own.
+        Number of the start; start 0 uses the parameters' start values.
     cost, ending, iterations
-        Of its search.
+        Cost, kind of ending and number of iterations of the search.
     minimum
-        Number of the minimum that it reached, 0 being the best; -1 if it reached none.
+        Number of the minimum that was reached; 0 is the best minimum, -1 means none.
     """
 
     start: int
@@ -122,9 +124,10 @@ class StartResult:
 
 @dataclass(frozen=True)
 class PointValue:
-    """A value at one of several points worth keeping, a row of minima.parquet or front.parquet.
+    """A value at one of several points, a row of minima.parquet or front.parquet.
 
-    `point` numbers them, the best first; `objectives` are costs kept apart.
+    `point` is the number of the point, the best first. `objectives` are the separate costs of a
+    method with several objectives.
     """
 
     point: int
@@ -137,31 +140,31 @@ class PointValue:
 @by_content
 @dataclass(frozen=True)
 class EffectCurve:
-    """The curve of an effect: what it adds, as a function of the one variable that it depends on.
+    """The curve of an effect: the added term as a function of its only variable.
 
     Attributes
     ----------
     effect, part
-        Its name, and the site: "der(v)", "der(v) while v > 0". A pair has two of them.
+        Name and site of the effect: "der(v)", "der(v) while v > 0". A pair has two curves.
     variable, variable_unit, unit
-        Its argument, and both units; "" where the FMU names none.
+        The variable, its unit, and the unit of the term; "" if the FMU declares no unit.
     x, y, lower, upper : (n,)
-        The curve and its 95 % band, to first order in the coefficients; NaN where the data do not
-        determine one of them.
+        The curve and its 95 % band, to first order in the coefficients; the band is NaN if the data
+        do not determine a coefficient.
     edges : (bins + 1,)
     counts : (bins,)
         Samples of the training experiments in each bin; both are empty for a filter's responses.
     free_x, free_y, free_error : (places,)
-        What the residuals ask for without any form, and its standard error, at a few places; empty
-        where that was not computed.
+        The term that the residuals suggest without a form, and its standard error, at a few places;
+        empty if it was not computed.
     why_not
-        Reason why it has no curve, in a sentence; the arrays are empty then.
+        A sentence: why there is no curve; the arrays are then empty.
     integral_of
-        The state whose integral the variable is, but for a factor, or the difference of two for a
-        difference: "v - w" for "x - z". "" where it is none.
+        The state whose integral the variable is (except for a factor); for a difference, the
+        difference of two such states: "v - w" for "x - z". "" if there is none.
     positive
-        A variable that switches the effect with its sign: the curve holds where it is positive. ""
-        without one.
+        A variable whose sign switches the effect; the curve applies if it is positive. "" if there
+        is none.
     """
 
     effect: str
@@ -187,7 +190,7 @@ OF_INTERVALS = (
     "at_bound", "std_error", "lower95", "upper95", "error_white", "error_autoregression",
     "error_experiments",
 )  # fmt: skip
-"""What an estimate has of the interval of its unknown."""
+"""Fields that an estimate copies from the interval of its unknown."""
 
 
 def estimates(
@@ -197,7 +200,7 @@ def estimates(
     units: dict[str, str],
     found: Sequence[ConfidenceInterval],
 ) -> list[Estimate]:
-    """The values that were searched for, with their intervals."""
+    """Return the estimated values with their intervals."""
     rows = []
     steps = solution.difference_steps
     for i, unknown in enumerate(space.unknowns):
@@ -218,7 +221,7 @@ def estimates(
 def derived(
     space: SearchSpace, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
 ) -> list[Estimate]:
-    """Parameters that follow from the estimates, with intervals to first order."""
+    """Return the parameters that are computed from others, with intervals to first order."""
     rows = []
     spread = {each.label: each for each in uncertainty.derived}
     parameters = {p.name: p for p in space.problem.parameters}
@@ -235,12 +238,12 @@ def derived(
 
 
 def fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
-    """Parameters that were kept at their starts."""
+    """Return the parameters that were fixed at their start values."""
     return [_known(p, units, p.start, "known") for p in problem.parameters if p.fixed]
 
 
 def _known(parameter: Parameter, units: dict[str, str], value: float, how: str) -> Estimate:
-    """A row for what was not searched for."""
+    """Return a row for a parameter that was not estimated."""
     return Estimate(
         label=parameter.name,
         parameter=parameter.name,
@@ -267,7 +270,7 @@ def _known(parameter: Parameter, units: dict[str, str], value: float, how: str) 
 def constraints(
     space: SearchSpace, solution: Solution, before: list[Simulation], after: list[Simulation]
 ) -> tuple[ConstraintValue, ...]:
-    """Every constraint on the training experiments, at the start and at the estimates."""
+    """Return all constraints on the training experiments, at the start values and estimates."""
     if not space.constraint_names:
         return ()
     then, now = (
@@ -284,12 +287,12 @@ def constraints(
 
 
 def constraints_at_start(space: SearchSpace, simulations: list[Simulation]) -> tuple[float, ...]:
-    """Every constraint on the training experiments at the start, over its scale."""
+    """Return all constraints on the training experiments at the start values, over their scales."""
     return tuple(_judged(space, space.start, simulations).tolist())
 
 
 def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) -> FloatArray:
-    """The constraints at x, NaN where a simulation failed."""
+    """Return the constraints at x; NaN if a simulation failed."""
     outcomes = tuple(simulations[e].outcome for e in space.experiments)
     found = assemble_evaluation(space, x, outcomes, 0).constraints
     return found if len(found) else np.full(len(space.constraint_names), np.nan)
@@ -298,7 +301,7 @@ def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) ->
 def starts_and_minima(
     space: SearchSpace, found: MultistartResult
 ) -> tuple[tuple[StartResult, ...], tuple[PointValue, ...]]:
-    """Rows of several starts and their minima; none where there was one start."""
+    """Return the rows of all starts and of their minima; none if there was only one start."""
     if len(found.solutions) < 2:
         return (), ()
     numbered = enumerate(zip(found.solutions, found.minimum, strict=True))
@@ -311,7 +314,7 @@ def starts_and_minima(
 
 
 def points(space: SearchSpace, others: tuple[OtherPoint, ...]) -> tuple[PointValue, ...]:
-    """Points worth keeping, value by value."""
+    """Return the rows of several points, one for each value."""
     return tuple(
         PointValue(i, label, value, other.cost, other.objectives)
         for i, other in enumerate(others)
@@ -320,7 +323,7 @@ def points(space: SearchSpace, others: tuple[OtherPoint, ...]) -> tuple[PointVal
 
 
 def coefficient_units(problem: Problem) -> dict[str, str]:
-    """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
+    """Return units of the effects' coefficients by "EFFECT.COEFFICIENT"; "" for unknown units."""
     if not problem.effects:
         return {}
     from workers.effects import definition as effects  # SymPy takes long to import

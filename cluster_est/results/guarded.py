@@ -1,4 +1,4 @@
-"""Steps after a search, none of which may take away what the search has found."""
+"""Steps after a search; if one of them fails, the result of the search is still returned."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty import Uncertainty, not_assessed
 
 LOG = logging.getLogger("cluster_est")
-LOG.addHandler(logging.NullHandler())  # who wants to see the traceback of a fault adds another
+LOG.addHandler(logging.NullHandler())  # to see the traceback of a fault, add another handler
 Value = TypeVar("Value")
 Substitute = TypeVar("Substitute")
 
 
 class GuardedSteps:
-    """Does steps one after the other, and keeps a sentence on each that failed.
+    """Runs steps, and keeps a sentence on each step that failed.
 
     Attributes
     ----------
     failed
-        What is missing in the result, and why.
+        Sentences: what is missing in the result, and why.
     """
 
     def __init__(self) -> None:
         self.failed: list[str] = []
 
     def do(self, what: str, step: Callable[[], Value], instead: Substitute) -> Value | Substitute:
-        """Return what a step gives, or something else where it fails.
+        """Return the value of a step, or a substitute if the step fails.
 
         Parameters
         ----------
         what
-            Which part of the result it makes, as the begin of a sentence.
+            The part of the result that the step computes, as the subject of a sentence.
         step
-            Makes it.
+            Computes this part.
         instead
-            What the result has in its place.
+            The substitute.
 
         Raises
         ------
@@ -48,7 +48,7 @@ class GuardedSteps:
         """
         try:
             return step()
-        except BudgetError:  # with a larger one the run goes on
+        except BudgetError:  # the run can be continued with a larger budget
             raise
         except ClusterEstError as error:
             self.failed.append(f"{what} could not be computed: {error}")
@@ -63,14 +63,14 @@ class GuardedSteps:
     def assessed(
         self, space: SearchSpace, solution: Solution, assess: Callable[[], Uncertainty]
     ) -> Uncertainty:
-        """Return the uncertainty of a solution; one that says that it is not known where it fails.
+        """Return the uncertainty of a solution, marked as unknown if its computation fails.
 
         Parameters
         ----------
         space, solution
-            The space that was searched, and the solution.
+            The search space, and the solution.
         assess
-            Computes it.
+            Computes the uncertainty.
         """
         nothing = not_assessed(space, solution, "their computation failed")
         return self.do(f"the intervals of {space.size} unknowns", assess, nothing)

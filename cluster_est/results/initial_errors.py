@@ -1,7 +1,7 @@
-"""Errors at the first sample: experiments that begin elsewhere than the model does.
+"""Errors at the first sample, which show that the initial state of an experiment is wrong.
 
-A wrong initial state decays, or stays as an offset; either way it looks like something that the
-model lacks, and no parameter removes it. At the first sample it is alone with the noise.
+The error of a wrong initial state decays or remains as an offset. It looks like a missing effect,
+and no parameter removes it. At the first sample, the residual contains only this error and noise.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
 INITIAL_ERROR_OVER_NOISE = 10.0
-"""Times the noise that an error at the first sample must reach."""
+"""Least ratio of an error at the first sample to the noise."""
 OUTSTANDING = 1.5
-"""Times the error of the later half of the record that it must reach, once a model is fitted: what
-stays is an offset. A swing that began elsewhere is 1.4 times its own root mean square."""
+"""Least ratio of an error at the first sample to the error of the second half of the record, for a
+fitted model. An error that remains is an offset. A sine is 1.4 times its own root mean square."""
 INITIAL_ERROR_OVER_SPREAD = 0.2
-"""Share of the standard deviation of what was measured that it must reach, before the fit."""
+"""Least ratio of an error at the first sample to the measured standard deviation, before a fit."""
 MOST_NAMED_STATES = 3
-"""States that a sentence names."""
+"""Largest number of states that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ class InitialError:
     Attributes
     ----------
     output, unit
-        Its name and unit.
+        Name and unit of the output.
     distance
-        The largest error at a first sample, in that unit.
+        The largest error at a first sample, in this unit.
     over_noise
         The largest error at a first sample, over the noise.
     found, count
-        In how many experiments, of how many whose initial state is not estimated.
+        Number of experiments with such an error, and of all whose initial state is not estimated.
     """
 
     output: str
@@ -55,7 +55,7 @@ class InitialError:
 
     @property
     def sentence(self) -> str:
-        """Say how far off it is, and where."""
+        """The size of the error, and the experiments, as a sentence."""
         size = f"{self.distance:.3g} {self.unit}".strip()
         several = "experiments begin" if self.count > 1 else "experiment begins"
         where = f"{self.found} of {self.count} {several}"
@@ -68,16 +68,16 @@ class InitialError:
 def initial_errors(
     problem: Problem, simulations: Sequence[Simulation], *, fitted: bool
 ) -> tuple[InitialError, ...]:
-    """Find outputs that are off at the first sample in at least half of the experiments.
+    """Find outputs with a large error at the first sample in at least half of the experiments.
 
-    An experiment whose initial state is estimated is left out.
+    Experiments whose initial state is estimated are left out.
 
     Parameters
     ----------
     simulations
-        Of the problem's experiments, with trajectories.
+        Simulations of the problem's experiments, with trajectories.
     fitted
-        They are at the estimates of a fit: what is left at the first sample must stand out.
+        Whether they are at the estimates of a fit; the errors must then exceed those later on.
     """
     if not simulations:
         return ()
@@ -105,7 +105,7 @@ def initial_errors(
 
 
 def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[str, ...]:
-    """Say where experiments begin elsewhere than a fitted model does, and what to do about it."""
+    """Say where a fitted model has wrong initial states, and what to do about it."""
     found = initial_errors(problem, simulations, fitted=True)
     if not found:
         return ()
@@ -113,7 +113,7 @@ def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[
 
 
 def free_start_advice(problem: Problem) -> str:
-    """Say which keys give the initial states of the experiments, or let a fit find them."""
+    """Say which keys set the initial states of the experiments, or let a fit estimate them."""
     description = problem.describe()
     taken = {p.target for p in problem.parameters if p.per != "gap"}
     states = [
@@ -141,13 +141,7 @@ def free_start_advice(problem: Problem) -> str:
 
 
 def estimates_start(space: SearchSpace, experiment: int, description: ModelDescription) -> bool:
-    """Return True if an unknown of an experiment is a start value, or its own.
-
-    Parameters
-    ----------
-    space
-        Of all experiments.
-    """
+    """Return whether an unknown of an experiment is a start value, or is its own."""
     for unknown in space.unknowns:
         start = is_start_value(unknown.parameter, description)
         if experiment in unknown.experiments and (start or unknown.parameter.per):
@@ -156,20 +150,20 @@ def estimates_start(space: SearchSpace, experiment: int, description: ModelDescr
 
 
 def is_start_value(parameter: Parameter, description: ModelDescription) -> bool:
-    """Return True if what is estimated is where a variable of the model begins."""
+    """Return whether a parameter is the start value of a variable of the model."""
     found = description.variables.get(parameter.target)
     return found is not None and found.causality not in ("parameter", "input")
 
 
 def noise_of_samples(values: FloatArray) -> float:
-    """Return the noise of a signal by its second differences; 0 for one that is too short."""
+    """Return the noise of a signal from its second differences; 0 if the signal is too short."""
     if len(values) < 4:
         return 0.0
     return float(1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
 
 
 def _begins(experiment: Experiment, output: Output) -> bool:
-    """Return True if an output is measured where its experiment starts, or one sample later."""
+    """Return whether an output is measured at the start of its experiment or one sample later."""
     if len(output.times) < 4:
         return False
     step = float(np.median(np.diff(output.times)))
@@ -177,7 +171,7 @@ def _begins(experiment: Experiment, output: Output) -> bool:
 
 
 def _off(output: Output, errors: FloatArray, *, fitted: bool) -> tuple[float, float]:
-    """Return the error of a first sample, and its ratio to the noise; zeros if it is no error."""
+    """Return the error of a first sample and its ratio to the noise; zeros if it is too small."""
     noise = float(output.sigmas[0]) if output.has_sigma else noise_of_samples(output.values)
     first = abs(float(errors[0]))
     later = float(np.sqrt(np.mean(errors[len(errors) // 2 :] ** 2)))

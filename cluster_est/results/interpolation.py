@@ -1,7 +1,7 @@
-"""Whether the measurements prefer an input to be held, or joined by straight lines.
+"""Tests whether the measurements prefer another interpolation of an input: hold or linear.
 
-A file has the samples of an input, and not what was between them. Where a fit stands, the outputs
-tell: the experiments are simulated once more with the other interpolation.
+A file contains only the samples of an input, not the values between them. The outputs can show
+these: at the estimates, the experiments are simulated again with the other interpolation.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input, Interpolation, Outcome
 
 MOST_SIMULATIONS = 8
-"""Simulations with the other interpolation, of all inputs together."""
+"""Largest number of simulations with the other interpolation, for all inputs together."""
 MOST_INPUTS = 4
-"""Inputs that are looked at; of more, those that differ most between the two."""
+"""Largest number of tested inputs; those are chosen whose two interpolations differ most."""
 MOST_ENTRIES = 20_000_000
-"""Entries of a Jacobian that the change is compared with."""
+"""Largest number of entries of a Jacobian for this test."""
 
 Simulate = Callable[[tuple[Experiment, ...], list[int]], list[Outcome]]
-"""Residuals of changed experiments, with the values of those at these positions."""
+"""Simulates changed experiments with the parameter values of the experiments at these positions."""
 
 
 @dataclass(frozen=True)
 class FittedExperiments:
-    """Training experiments where a fit stands.
+    """Training experiments at the estimates of a fit.
 
     Attributes
     ----------
     problem
-        Of the fit.
+        The fitted problem.
     experiments
         Indices of the training experiments.
     residuals : (n,)
-        Stacked.
+        Residuals of all training experiments.
     jacobian : (n, unknowns)
-        Of them.
+        Derivatives of the residuals.
     """
 
     problem: Problem
@@ -69,15 +69,16 @@ class PreferredInterpolation:
     Attributes
     ----------
     variable, preferred
-        The input, and how it should be interpolated.
+        The input, and its preferred interpolation.
     key
-        Of a config, that says so.
+        The key of a config that sets this interpolation.
     share, error, fall
         See `ChangedSimulation`.
     experiments
-        How many were simulated again.
+        Number of experiments that were simulated again.
     experiment, time
-        Where most of the gain is: after this jump; NaN for an input without jumps.
+        The experiment, and the time of the jump, after which most of the improvement is; the time
+        is NaN for an input without jumps.
     """
 
     variable: str
@@ -92,7 +93,7 @@ class PreferredInterpolation:
 
     @property
     def sentence(self) -> str:
-        """What the measurements say, and what to set."""
+        """The result of the test, and the key to set."""
         held = self.preferred == "hold"
         how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
@@ -105,7 +106,7 @@ class PreferredInterpolation:
 
 
 def interpolation_facts(found: PreferredInterpolation | None) -> dict[str, Any] | None:
-    """Return what run.json says of it; None where nothing was found."""
+    """Return the entry of run.json; None if nothing was found."""
     return None if found is None else dataclasses.asdict(found)
 
 
@@ -116,24 +117,24 @@ def preferred_interpolation(
     resources: Resources,
     runner: Runner,
 ) -> PreferredInterpolation | None:
-    """Find the input of a fit that the measurements prefer to be interpolated otherwise.
+    """Find an input for which the measurements prefer the other interpolation.
 
     Parameters
     ----------
     space, solution
-        Of the training experiments, with a Jacobian.
+        Search space and solution of the training experiments, with a Jacobian.
     simulations
-        Of every experiment of the problem at the estimates, with trajectories.
+        Simulations of all experiments at the estimates, with trajectories.
     resources, runner
         See `simulate_with_solver`.
 
     Returns
     -------
     PreferredInterpolation or None
-        None where no input can be told, or the measurements prefer what was fitted.
+        None if no input can be tested, or if the measurements prefer the fitted interpolation.
     """
     problem = space.problem
-    if noise_names(problem):  # a Kalman filter follows the data whatever is between the samples
+    if noise_names(problem):  # a Kalman filter follows the data with any interpolation
         return None
     residuals = training_residuals(space, simulations)
     if residuals is None:
@@ -147,7 +148,7 @@ def preferred_interpolation(
 
 
 def at_fit(problem: Problem, values: FloatArray, resources: Resources, runner: Runner) -> Simulate:
-    """Return what simulates changed experiments at the values of each, (experiments, names)."""
+    """Return a function that simulates changed experiments; `values` are (experiments, names)."""
 
     def simulate(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
         return simulate_with_solver(
@@ -161,18 +162,11 @@ def at_fit(problem: Problem, values: FloatArray, resources: Resources, runner: R
 def compare_interpolations(
     fitted: FittedExperiments, simulate: Simulate
 ) -> PreferredInterpolation | None:
-    """Simulate experiments with the other interpolation of each input that jumps or is held.
+    """Simulate experiments with the other interpolation of each input with jumps or a hold.
 
-    Of each input the records are simulated in which the two differ most; few, as all inputs share
-    `MOST_SIMULATIONS`. What the measurements say is decided by `compare_simulations`; of several
-    inputs the one that they say most of is returned, as the others may only resemble it.
-
-    Parameters
-    ----------
-    fitted
-        Where a fit stands.
-    simulate
-        Simulates changed experiments.
+    For each input, only the records are simulated in which the two interpolations differ most, and
+    all inputs share `MOST_SIMULATIONS`. `compare_simulations` decides. If several inputs are found,
+    only the one with the clearest result is returned, because the others may only resemble it.
     """
     problem = fitted.problem
     changes = _changes(problem, problem.describe(), fitted.experiments)
@@ -185,7 +179,7 @@ def compare_interpolations(
     )
     try:
         outcomes = iter(simulate(runs, [p for change in changes for p in change.positions]))
-    except ClusterEstError:  # a hint is missing then, and nothing else
+    except ClusterEstError:  # then only this hint is missing
         return None
     found: list[tuple[float, PreferredInterpolation]] = []
     for change in changes:
@@ -199,7 +193,7 @@ def compare_interpolations(
 
 @dataclass(frozen=True)
 class _Change:
-    """An input whose interpolation is changed, at these positions of the training experiments."""
+    """An input to change, and the positions of the training experiments in which to change it."""
 
     variable: str
     now: Interpolation
@@ -209,7 +203,7 @@ class _Change:
 def _changes(
     problem: Problem, description: ModelDescription, experiments: Sequence[int]
 ) -> list[_Change]:
-    """Return the inputs that can be told, those first that the interpolations differ most in."""
+    """Return the inputs that can be tested, first those whose interpolations differ most."""
     sizes: dict[tuple[str, Interpolation], list[tuple[float, int]]] = {}
     for position, e in enumerate(experiments):
         run = problem.experiments[e]
@@ -228,7 +222,7 @@ def _changes(
 
 
 def _difference(given: Input, run: Experiment) -> float:
-    """Return the mean square difference of both interpolations, over the range squared."""
+    """Return the mean square difference of both interpolations over the squared range."""
     inside = (given.times >= run.start) & (given.times <= run.stop)
     times, values = given.times[inside], given.values[inside]
     span = float(np.ptp(given.values)) if len(values) > 1 else 0.0
@@ -251,7 +245,7 @@ def _changed(run: Experiment, variable: str) -> Experiment:
 def _compared(
     fitted: FittedExperiments, change: _Change, outcomes: Sequence[Outcome]
 ) -> ChangedSimulation | None:
-    """Compare both in the experiments that were simulated; None if one failed."""
+    """Compare both interpolations in the simulated experiments; None if a simulation failed."""
     known = [each.residuals for each in outcomes if each.ok and each.residuals is not None]
     if len(known) < len(outcomes):
         return None
@@ -264,7 +258,7 @@ def _compared(
 
 
 def _rows(fitted: FittedExperiments, change: _Change) -> tuple[FloatArray, list[Experiment]]:
-    """Return the rows of the experiments of a change in the stacked residuals, and those."""
+    """Return the residual rows of the experiments of a change, and these experiments."""
     runs = [fitted.problem.experiments[e] for e in fitted.experiments]
     ends = np.cumsum([0, *(sum(len(o.times) for o in run.outputs) for run in runs)])
     rows = [np.arange(ends[p], ends[p + 1]) for p in change.positions]
@@ -274,7 +268,7 @@ def _rows(fitted: FittedExperiments, change: _Change) -> tuple[FloatArray, list[
 def _preferred(
     fitted: FittedExperiments, change: _Change, compared: ChangedSimulation
 ) -> PreferredInterpolation:
-    """Say it of an input, with where most of the gain is."""
+    """Return the finding for an input, with the place of the largest improvement."""
     _, runs = _rows(fitted, change)
     best = -np.inf, runs[0].id, np.nan
     for item in make_records(runs).items:

@@ -1,4 +1,4 @@
-"""What was found of scales and offsets, of categories, and of values below a detection limit."""
+"""Tables and notes on scales, offsets, categories and values below a detection limit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from workers.messages import FloatArray
 from workers.residuals.observed import learnt_from, scale_and_offset
 
 MOST_PAIRED = 2000
-"""Samples of an output in an experiment whose pairs are counted; of more, these evenly spread."""
+"""Largest number of samples whose pairs are counted; more samples are thinned evenly to it."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,9 @@ class ObservedScale:
     Attributes
     ----------
     experiment, role, output
-        Of what.
+        The output, and the id and role of the experiment.
     scale, offset
-        What was simulated is multiplied by the one, and the other added, to be compared; 1 and 0
-        where they are not free.
+        scale * simulated + offset is compared with the measured values; 1 and 0 if not free.
     """
 
     experiment: str
@@ -38,18 +37,18 @@ class ObservedScale:
 
 @dataclass(frozen=True)
 class ObservedCategory:
-    """What an ordinal output simulates in one category, a row of categories.parquet.
+    """One category of an ordinal output, a row of categories.parquet.
 
     Attributes
     ----------
     experiment, role, output
-        Of what.
+        The output, and the id and role of the experiment.
     category
         The measured value.
     samples
-        How often it was measured, in a held-out part of a record in its training part.
+        Number of samples with this value; for a held-out part of a record, in its training part.
     lower, upper
-        The bounds of the simulated values that suit best; infinite at the ends.
+        The best bounds of the simulated values; infinite at the ends.
     """
 
     experiment: str
@@ -64,7 +63,7 @@ class ObservedCategory:
 def observed_categories(
     problem: Problem, simulations: Sequence[Simulation]
 ) -> tuple[ObservedCategory, ...]:
-    """Return the categories of ordinal outputs, at simulated values."""
+    """Return the categories of ordinal outputs in these simulations."""
     found = []
     for simulation in simulations:
         experiment = problem.experiments[simulation.experiment]
@@ -92,7 +91,7 @@ def observed_categories(
 def observed_scales(
     problem: Problem, simulations: Sequence[Simulation]
 ) -> tuple[ObservedScale, ...]:
-    """Return the scales and offsets that were free, at simulated values."""
+    """Return the free scales and offsets in these simulations."""
     found = []
     for simulation in simulations:
         experiment = problem.experiments[simulation.experiment]
@@ -108,7 +107,7 @@ def observed_scales(
 
 
 def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[str, ...]:
-    """Say what was found of scales and orders, and how many values a detection limit hides."""
+    """Return notes on scales, on the order of ordinal values, and on detection limits."""
     notes = []
     scales = observed_scales(problem, simulations)
     for name in dict.fromkeys(each.output for each in scales):
@@ -135,7 +134,7 @@ def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tu
 
 
 def lack_normal_law(problem: Problem, experiments: Sequence[int]) -> bool:
-    """Whether residuals have no normal law: below a detection limit, and of ordinal values."""
+    """Return whether some residuals are not normal: below a detection limit, or ordinal values."""
     return any(
         output.ordinal or bool(output.is_hidden.any())
         for e in experiments
@@ -144,7 +143,7 @@ def lack_normal_law(problem: Problem, experiments: Sequence[int]) -> bool:
 
 
 def _hidden(problem: Problem) -> dict[str, tuple[int, int]]:
-    """For each output with a detection limit, how many values it hides, of how many."""
+    """Return the numbers of hidden and of all values for each output with a detection limit."""
     found: dict[str, tuple[int, int]] = {}
     for experiment in problem.experiments:
         for output in experiment.outputs:
@@ -156,7 +155,7 @@ def _hidden(problem: Problem) -> dict[str, tuple[int, int]]:
 
 
 def _order_notes(problem: Problem, simulations: Sequence[Simulation]) -> list[str]:
-    """Say how many pairs of values of ordinal outputs are simulated in their order."""
+    """Say how many pairs of ordinal values have the same order in the simulation."""
     ordered: dict[tuple[str, str], tuple[int, int]] = {}
     for simulation in simulations:
         experiment = problem.experiments[simulation.experiment]
@@ -179,7 +178,7 @@ def _order_notes(problem: Problem, simulations: Sequence[Simulation]) -> list[st
 
 
 def _ordered_pairs(measured: FloatArray, simulated: FloatArray) -> tuple[int, int]:
-    """Count the pairs of samples that are simulated in their order, and those that have one."""
+    """Count the pairs with the same order in the simulation, and all pairs of different values."""
     few = np.linspace(0, len(measured) - 1, min(len(measured), MOST_PAIRED)).astype(int)
     first, second = measured[few], simulated[few]
     lower = first[:, None] < first

@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 @by_content
 @dataclass(frozen=True)
 class Simulation:
-    """One experiment simulated at given values: its outcome, with trajectory."""
+    """The simulation of one experiment with given values: its outcome, with trajectory."""
 
     experiment: int
     outcome: Outcome = field(repr=False)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return time and outputs as a frame of pandas, which must be installed.
+        """Return time and outputs as a pandas DataFrame; pandas must be installed.
 
         Raises
         ------
         ProblemError
-            If the simulation failed, with the reason.
+            If the simulation failed; the message gives the reason.
         """
         found = self.outcome.trajectory
         if found is None:
@@ -55,9 +55,9 @@ class OutputError:
     """The error of one output of one experiment, a row of errors.parquet.
 
     `before` is at the start values, `after` at the estimates. `rmse` is in the output's unit,
-    `relative` is over the standard deviation of the measured signal, `normalised` over sigma. NaN
-    where the simulation failed. Of an ordinal output they are distances to the bounds of categories
-    over the standard deviation of the simulated signal, and nothing is relative to the measured.
+    `relative` is over the standard deviation of the measured signal, `normalised` over sigma. All
+    are NaN if the simulation failed. For an ordinal output, errors are distances to the bounds of
+    categories over the standard deviation of the simulated signal, and `relative` does not exist.
     """
 
     experiment: str
@@ -76,13 +76,13 @@ class OutputError:
 def output_errors(
     problem: Problem, before: list[Simulation], after: list[Simulation], units: dict[str, str]
 ) -> tuple[OutputError, ...]:
-    """The table of errors, from each experiment simulated at the start and at the estimates."""
+    """Return the table of errors, from simulations at the start values and at the estimates."""
     rows = []
     for old, new in zip(before, after, strict=True):
         experiment = problem.experiments[old.experiment]
         for output in experiment.outputs:
             seen = ~output.is_hidden
-            whole = bool(seen.all())  # of a part no spread is known
+            whole = bool(seen.all())  # the spread of a part is not known
             spread = (float(np.std(output.values)) or np.nan) if whole else np.nan
             spread = np.nan if output.ordinal else spread
             then, now = (_seen_residuals(output, each.outcome) for each in (old, new))
@@ -111,10 +111,10 @@ def output_errors(
 
 
 def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
-    """(measured - simulated) / sigma of one output at its measured times; None if it failed.
+    """Return (measured - simulated) / sigma of one output at its measured times.
 
-    From the trajectory, whatever the cost makes of it; with the best scale and offset, where those
-    are free, and as a detection limit has it.
+    The values come from the trajectory, with any cost. Free scales and offsets have their best
+    values, and a detection limit is respected. None if the simulation failed.
     """
     trajectory = outcome.trajectory
     if trajectory is None:
@@ -123,16 +123,16 @@ def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
 
 
 def simulated_values(output: Output, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Return what was simulated at an output's times, and at those of what it learns from."""
+    """Return the simulated values at an output's times, and at the times of its reference data."""
     times = output.times, learnt_from(output).times
     first, second = (np.ascontiguousarray(trajectory.at(output.variable, each)) for each in times)
     return first, second
 
 
 def compared_values(output: Output, outcome: Outcome) -> FloatArray | None:
-    """What was simulated at an output's measured times, as it is compared; None if it failed.
+    """Return the simulated values that are compared with an output; None if the simulation failed.
 
-    With the best scale and offset, where those are free.
+    Free scales and offsets have their best values.
     """
     trajectory = outcome.trajectory
     if trajectory is None:
@@ -151,10 +151,10 @@ def fitted_categories(output: Output, trajectory: Trajectory | None) -> Category
 
 
 def measured_values(output: Output, outcome: Outcome) -> FloatArray:
-    """Return what an output was measured as, to be drawn beside what was simulated.
+    """Return the measured values of an output for a plot with the simulated values.
 
-    An order has no such values: for an ordinal output those of each category that are nearest to
-    the simulated ones, NaN if there are none.
+    An ordinal output has no such values. Instead, the value in each measured category that is
+    nearest to the simulated value is returned; NaN if there is none.
     """
     if not output.ordinal:
         return output.values
@@ -165,7 +165,7 @@ def measured_values(output: Output, outcome: Outcome) -> FloatArray:
 
 
 def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:
-    """Distances of a curve's segments, relative to its size; None if it failed, or has no curve."""
+    """Return distances of a curve's segments over its size; None without a curve or simulation."""
     if experiment.curve is None or outcome.trajectory is None:
         return None
     if experiment.cost_function is not None:
@@ -175,7 +175,7 @@ def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | No
 
 
 def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputError:
-    """Of a curve, whose distances are relative to its size already."""
+    """Return the error of a curve; its distances are already relative to its size."""
     curve = experiment.curve
     then, now = _rms(curve_residuals(experiment, old)), _rms(curve_residuals(experiment, new))
     return OutputError(
@@ -194,7 +194,7 @@ def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputEr
 
 
 def _seen_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
-    """The residuals of the values that are above a detection limit; None if it failed."""
+    """Return the residuals of values above a detection limit; None if the simulation failed."""
     residuals = output_residuals(output, outcome)
     return None if residuals is None else residuals[~output.is_hidden]
 
@@ -206,7 +206,10 @@ def _rms(residuals: FloatArray | None) -> float:
 
 
 def worse_than_constants(errors: Sequence[OutputError]) -> list[str]:
-    """A sentence for each fitted output whose error exceeds its own spread: often a wrong unit."""
+    """Return a sentence for each fitted output that a constant would fit better.
+
+    The reason is often a wrong unit.
+    """
     worst: dict[str, OutputError] = {}
     for each in errors:
         if each.role == "train" and 1.0 < each.relative_after < np.inf:

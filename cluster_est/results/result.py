@@ -70,60 +70,61 @@ class Result(ResultView):
     Attributes
     ----------
     problem
-        What was asked.
+        The fitted problem.
     estimates
-        Every number that was estimated or kept, shared ones first.
+        All values that were estimated or kept; shared values come first.
     solution
-        Of the search on the training experiments.
+        Result of the search on the training experiments.
     test_solution
-        Of the search for values that belong to test records alone; None without such values.
+        Result of the search for values that belong only to test records; None without such values.
     cost_before, cost
-        Of the training experiments, at the start and at the estimates.
+        Cost of the training experiments, at the start values and at the estimates.
     errors
-        For each output of each experiment.
+        Errors of each output of each experiment.
     simulations
-        Every experiment at the estimates.
+        Simulations of all experiments at the estimates.
     before
-        Every experiment at the start values, without residuals; empty where all of them together
-        would take too much memory.
+        Simulations of all experiments at the start values, without residuals; empty if they would
+        need too much memory.
     evaluations, simulated, failures, seconds
-        What it took.
+        Numbers of evaluated points, simulations and failed simulations, and the duration.
     search_seconds
-        Of `seconds`, those since the workers stood ready.
+        The part of `seconds` after the workers were ready.
     constraints
-        On the training experiments; empty without constraints.
+        Constraints on the training experiments; empty without constraints.
     starts, minima
-        Of a multi-start: each start, and the values at each different minimum.
+        For a multi-start: each start, and the values at each different minimum.
     front
-        Of a method with several objectives: the points none of which is better in all.
+        For a method with several objectives: the Pareto front.
     uncertainty
-        Correlations and directions that the data do not determine, besides the intervals.
+        Intervals, correlations, and directions that the data do not determine.
     profiles, bootstrap, posterior
-        Intervals that took refits or draws, where they were asked for.
+        Intervals from refits or draws, if they were requested.
     predictions
-        Where the outputs lie by the posterior.
+        Prediction intervals of the outputs from the posterior.
     diagnostics
-        Whether the training residuals are white and as large as sigma says; None where that means
-        nothing, see `diagnose_residuals`.
+        Whether the training residuals are white and agree with sigma; None if these tests do not
+        apply, see `diagnose_residuals`.
     solver_error
-        What half the solver's step changes; None where no step decides, see `measure_solver_error`.
+        Error of the solver's step; None if no step size determines the accuracy, see
+        `measure_solver_error`.
     interpolation
-        An input that the measurements prefer to be interpolated otherwise; None where there is
-        none, or nothing tells.
+        An input for which the measurements prefer another interpolation; None if there is none, or
+        if the data cannot show it.
     record_faults
-        What is wrong with a record, where one change mends it; empty where nothing was found.
+        Faults of a record that one change corrects; empty if none was found.
     shapes
-        Of the effects that the problem declares.
+        Shapes of the effects that the problem declares.
     shooting
-        What segments of the records led to; None where the search did not go through them.
+        Result of the search with segments (multiple shooting); None without segments.
     failed_steps
-        Sentences on what was to follow the search and failed; the estimates do not depend on it.
+        Sentences on steps after the search that failed; the estimates do not depend on them.
     interrupted
-        Whether the user or the budget ended it.
+        Whether the user or the budget ended the fit.
     seed
-        Of the method.
+        Random seed of the method.
     states
-        Of the model at the estimates, for some training experiments; see `with_states`.
+        States of the model at the estimates, for some training experiments; see `with_states`.
     """
 
     problem: Problem
@@ -172,38 +173,37 @@ class Result(ResultView):
 
     @property
     def x(self) -> dict[str, float]:
-        """Estimated physical values by label."""
+        """The estimated physical values by label."""
         searched = ("train", "test")
         return {e.label: e.value for e in self.estimates if e.estimated_on in searched}
 
     @property
     def fun(self) -> FloatArray | None:
-        """Residuals of the training experiments at the estimates, one after the other, over sigma.
+        """Residuals over sigma of all training experiments at the estimates.
 
-        Behind those of an experiment stand those of the priors that count with it.
-
-        None where a simulation failed.
+        The residuals of an experiment are followed by those of the priors that belong to it. None
+        if a simulation failed.
         """
         at = self.solution.at
         return at.residuals if at is not None and at.ok else None
 
     @property
     def jac(self) -> FloatArray | None:
-        """(residuals, unknowns): d `fun` / d the solution's x.
+        """Derivatives of `fun` with respect to the solution's x: (residuals, unknowns).
 
-        x is logarithmic where a parameter's scale is. None where the method has none, or it is too
-        large for one array.
+        x is a logarithm if a parameter's scale is logarithmic. None if the method computes no
+        Jacobian, or if it is too large for one array.
         """
         return self.solution.jacobian
 
     @property
     def nfev(self) -> int:
-        """Points that were asked for, those of finite differences included."""
+        """Number of evaluated points, including those for finite differences."""
         return self.evaluations
 
     @property
     def nit(self) -> int:
-        """Iterations of the search."""
+        """Number of iterations of the search."""
         return self.solution.iterations
 
     @property
@@ -218,14 +218,14 @@ class Result(ResultView):
 
     @property
     def status(self) -> str:
-        """The word for how it ended, as in run.json."""
+        """The kind of ending, in the words of run.json."""
         if self.interrupted:
             return "interrupted"
         return "done" if self.success else "not converged"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on simulations, residuals, uncertainty and outputs that are not followed."""
+        """Sentences on simulations, residuals, uncertainty and outputs with a poor fit."""
         return fit_notes(self)
 
     @override
@@ -260,7 +260,7 @@ class Result(ResultView):
         return pa.Table.from_pylist(found) if found else pa.table({})
 
     def optional_rows(self) -> dict[str, Sequence[Any]]:
-        """Rows of the tables that not every fit has, by name; empty where it has none."""
+        """Rows of the optional tables by name; empty if the fit has no such table."""
         uncertainty, drawn = self.uncertainty, self.bootstrap
         return {
             "constraints": self.constraints,
@@ -278,7 +278,7 @@ class Result(ResultView):
         }
 
     def rmse(self, role: Role) -> float:
-        """Root mean square error over all outputs of the experiments with this role, in sigmas."""
+        """Return the root mean square error over sigma for all experiments with a role."""
         rows = [e for e in self.errors if e.role == role]
         samples = np.array([e.samples for e in rows], np.float64)
         squares = samples * np.array([e.normalised_after for e in rows]) ** 2

@@ -1,4 +1,4 @@
-"""What multiple shooting did, for tables and notes."""
+"""The results of multiple shooting, for tables and notes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 SURPRISING = 1e-3
-"""P-value of the price of continuity up to which something is said."""
+"""Largest p-value of the cost increase by continuity for which there is a note."""
 
 
 @dataclass(frozen=True)
 class SegmentState:
     """One state at the start of one segment, a row of segments.parquet.
 
-    `guess` is what the search began with, `value` what it found, and `jump` what lies between the
-    end of the segment before and that, in the state's unit; `relative_jump` is over the state's
-    spread along the records.
+    `guess` is the start value of the search, `value` its result, and `jump` the difference between
+    `value` and the end of the previous segment, in the state's unit. `relative_jump` is over the
+    state's standard deviation along the records.
     """
 
     experiment: str
@@ -32,35 +32,35 @@ class SegmentState:
 
 @dataclass(frozen=True)
 class ShootingSummary:
-    """How a fit went through segments.
+    """The course of a fit with segments.
 
     Attributes
     ----------
     segments
-        Their number in all training records.
+        Number of segments in all training records.
     joined
-        Whether the fit was finished on whole records; else all errors are those of the segments.
+        Whether the fit was finished on whole records; otherwise all errors are those of segments.
     largest_jump
-        Between two segments, over the spread of the state; NaN if nothing could be simulated.
+        Largest jump between two segments, over the standard deviation of the state; NaN if the
+        segments could not be simulated.
     cost
-        Of the segments, without their jumps.
+        Cost of the segments, without their jumps.
     whole_cost
-        Of the records as a whole at what the segments found; NaN where one could not be simulated.
+        Cost of the whole records at the result of the segments; NaN if one could not be simulated.
     asked
-        For how many the settings had asked.
+        Number of segments in the settings.
     promised
-        The least ratio of a standard error by the derivatives of whole records to that of the
-        segments.
+        Least ratio of a standard error from derivatives of whole records to that from segments.
     stopped
         Whether a budget or the user ended the search.
     free_cost, continuity_p
-        Of the segments while they need not follow each other, and the p-value of the rise since.
+        Cost of the segments without continuity, and the p-value of its increase by continuity.
     left_out
-        What was asked for and works on whole records alone.
+        Requested results that need whole records and are missing.
     reason
-        Why the segments led nowhere; "" if they did not fail.
+        Why the segments failed; "" if they did not fail.
     states
-        At the start of each segment but the first of each record.
+        States at the start of each segment, except the first segment of each record.
     """
 
     segments: int
@@ -79,12 +79,12 @@ class ShootingSummary:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a user should know of it."""
+        """Notes for the user."""
         return (*self._followed, *self._by_jumps)
 
     @property
     def _by_jumps(self) -> tuple[str, ...]:
-        """That the segments followed their data by jumps, if they did."""
+        """Return a note if the segments fitted their data only by jumps."""
         if self.continuity_p > SURPRISING:
             return ()
         return (
@@ -133,7 +133,7 @@ class ShootingSummary:
 
     @property
     def _whole(self) -> str:
-        """Why the segments were not joined."""
+        """Return the reason why the segments were not joined."""
         if self.stopped:
             return "the search with segments was stopped before it reached a solution"
         if not np.isfinite(self.whole_cost):

@@ -1,10 +1,10 @@
-"""Whether a residual varies with a measured signal: a test that autocorrelation does not fool.
+"""Tests whether a residual depends on a measured signal; the test is valid for smooth signals.
 
-Two smooth signals that have nothing to do with each other correlate as soon as they are as long as
-a few of their swings. So the residual is made white first, by an autoregression, and the signal is
-filtered in the same way: of a white series, the regression on anything that does not depend on it
-has the F distribution, however smooth that may be (prewhitening; L. D. Haugh, J. Am. Stat. Assoc.
-71 (1976) 378-385, doi:10.1080/01621459.1976.10480353).
+Two smooth, independent signals often seem correlated if they contain only a few oscillations. So an
+autoregression first whitens the residual, and the signal passes the same filter. The regression of
+a white series on an independent signal has the F distribution, however smooth the signal is
+(prewhitening; L. D. Haugh, J. Am. Stat. Assoc. 71 (1976) 378-385,
+doi:10.1080/01621459.1976.10480353).
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from scipy.stats import f as f_distribution
 from workers.messages import FloatArray
 
 ORDERS = (1, 2, 4, 8, 12, 20)
-"""Orders of the autoregression; the best by Akaike's criterion is taken."""
+"""Orders of the autoregression; Akaike's criterion chooses the best one."""
 
 LAGS = (4.0, 16.0, 64.0)
-"""Time constants, in samples, of low passes of the signal: a model answers late."""
+"""Time constants, in samples, of low-pass filters of the signal, because a model reacts late."""
 
 MOST_DEPENDENCE_SAMPLES = 3000
-"""Samples in all; longer data are averaged over neighbours."""
+"""Largest total number of samples; longer data are averaged over neighbouring samples."""
 
 LEAST_DEPENDENCE_SAMPLES = 60
-"""Samples in all, below which nothing is said."""
+"""Least total number of samples for a test."""
 
 SHIFTS = 40
-"""Shifts of the signal along the records, by which the test's own scale is measured."""
+"""Number of shifts of the signal along the records; their F ratios calibrate the test."""
 
 ROUNDING_OF_SIGNAL = 1e-10
-"""Share of a signal's largest value that is no variation."""
+"""Share of a signal's largest value below which a variation counts as rounding."""
 
 Pair = tuple[FloatArray, FloatArray]
 """The residual of a record, and the signal at the same times."""
@@ -42,14 +42,14 @@ Pair = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Dependence:
-    """How far a residual varies with a signal.
+    """The dependence of a residual on a signal.
 
     Attributes
     ----------
     p
-        The probability of as much by chance; 1 where there are too few samples.
+        p-value of the test; 1 if there are too few samples.
     share
-        Of the residual's variance that the signal carries.
+        Share of the residual's variance that the signal explains.
     """
 
     p: float
@@ -62,18 +62,18 @@ NO_DEPENDENCE = Dependence(1.0, 0.0)
 def dependence(
     records: Sequence[Pair], known: Sequence[Mapping[str, FloatArray]] | None = None
 ) -> Dependence:
-    """Test whether a residual varies with a signal, at once or late.
+    """Test whether a residual depends on a signal, with or without a delay.
 
     Parameters
     ----------
     records
-        Residual and signal of each record, evenly sampled, all at one step. Each record may have an
-        offset and a trend of its own: any two trends go together.
+        Residual and signal of each record, evenly sampled with the same step in all records. The
+        offset and trend of each record are removed, because any two trends seem correlated.
     known
-        For each record signals that both may follow, by name, as long as those: what these say, at
-        once or late, is taken out first, as is a decay from the start. Else everything that a
-        measured input moves would vary with everything else that it moves. One that stands still
-        in a record, or is not there, says nothing in that record.
+        For each record, signals on which both may depend, by name and with the same length. Their
+        influence, with or without a delay, is removed first, and also a decay from the start.
+        Otherwise all signals that depend on the same measured input would seem to depend on each
+        other. A signal that is constant or missing in a record is ignored there.
     """
     block = max(1, -(-sum(len(y) for y, _ in records) // MOST_DEPENDENCE_SAMPLES))
     longest = max(ORDERS)
@@ -109,7 +109,7 @@ def dependence(
 
 
 class _Whitener:
-    """Filters records to what an autoregression does not predict, and nuisances do not say."""
+    """Removes from records what an autoregression predicts, and what nuisances explain."""
 
     def __init__(self, coefficients: FloatArray, nuisances: Sequence[FloatArray]) -> None:
         self._coefficients = coefficients
@@ -118,7 +118,7 @@ class _Whitener:
         self.rank = self._basis.shape[1]
 
     def of(self, records: Sequence[FloatArray]) -> FloatArray:
-        """Return the records, filtered, one behind the other."""
+        """Return the filtered records, one after the other."""
         white = self._filtered(records)
         return white - self._basis @ (self._basis.T @ white)
 
@@ -129,7 +129,7 @@ class _Whitener:
 
 
 def _nuisances(length: int, known: Sequence[FloatArray | None]) -> FloatArray:
-    """(n, m): decays from the start, and signals with their low passes, all of one size."""
+    """Return decays from the start, and normalised signals with their low-pass filters: (n, m)."""
     steps = np.arange(length)
     columns = [np.column_stack([_detrended(np.exp(-steps / lag)) for lag in LAGS])]
     for signal in known:
@@ -141,13 +141,13 @@ def _nuisances(length: int, known: Sequence[FloatArray | None]) -> FloatArray:
 
 
 def _averaged(values: FloatArray, block: int) -> FloatArray:
-    """Means of neighbours; what is left at the end is left out."""
+    """Return the means of blocks of neighbours; an incomplete block at the end is left out."""
     whole = len(values) // block * block
     return np.asarray(values[:whole].reshape(-1, block).mean(axis=1))
 
 
 def _detrended(values: FloatArray) -> FloatArray:
-    """Without the straight line that fits best; zeros where only rounding would be left."""
+    """Return the values minus their linear trend; zeros if only rounding would remain."""
     if len(values) < 2:
         return np.zeros(len(values))
     left = np.asarray(detrend(values))
@@ -159,7 +159,7 @@ def _detrended(values: FloatArray) -> FloatArray:
 
 
 def _late(x: FloatArray) -> FloatArray:
-    """(n, k): a signal and its low passes, each about its trend."""
+    """Return a signal and its low-pass filters, each without its trend: (n, k)."""
     columns = [x]
     for lag in LAGS:
         keep = float(np.exp(-1.0 / lag))
@@ -172,7 +172,7 @@ def _moved(columns: FloatArray, part: float) -> FloatArray:
 
 
 def _autoregression(records: Sequence[FloatArray]) -> FloatArray:
-    """Coefficients of the best order, by least squares over all records."""
+    """Return the coefficients of the best order, by least squares over all records."""
     longest = max(ORDERS)
     target = np.concatenate([y[longest:] for y in records])
     past = np.concatenate(
@@ -188,14 +188,14 @@ def _autoregression(records: Sequence[FloatArray]) -> FloatArray:
 
 
 def _ratio(white: FloatArray, columns: FloatArray, freedom: int) -> float:
-    """The F ratio of the regression of a white series on columns."""
+    """Return the F ratio of the regression of a white series on columns."""
     explained = _explained(white, columns)
     rest = max(float(white @ white) - explained, 1e-300)
     return float(explained / columns.shape[1] / (rest / freedom))
 
 
 def _explained(y: FloatArray, columns: FloatArray) -> float:
-    """Squares of y that the columns carry; those that depend on others count once."""
+    """Return the sum of squares of y that the columns explain; they may be dependent."""
     values, vectors = np.linalg.eigh(columns.T @ columns)
     kept = values > 1e-12 * max(values[-1], 1e-300)
     along = vectors[:, kept].T @ (columns.T @ y)
@@ -203,13 +203,13 @@ def _explained(y: FloatArray, columns: FloatArray) -> float:
 
 
 def _share(residuals: Sequence[FloatArray], columns: Sequence[FloatArray]) -> float:
-    """Of the variance of the residuals, as they are, that the columns carry."""
+    """Return the share of the variance of the unfiltered residuals that the columns explain."""
     y, x = np.concatenate(residuals), np.concatenate(columns)
     return min(_explained(y, x) / float(y @ y), 1.0)
 
 
 def periodic_share(values: FloatArray, times: FloatArray, period: float) -> float:
-    """Return the share of a signal's variance, about its trend, in a wave of one period."""
+    """Return the share of a signal's variance, without its trend, in a wave with this period."""
     phase = 2.0 * np.pi * times / period
     basis = np.column_stack([np.sin(phase), np.cos(phase)])
     columns = np.column_stack([_detrended(c) for c in basis.T])

@@ -1,4 +1,4 @@
-"""What tests of residuals have found, for each output and for all together, and its sentences."""
+"""Findings of residual tests, for each output and for all outputs together, and their sentences."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class ResidualStructure(enum.StrEnum):
-    """What the residuals look like."""
+    """The structure of the residuals."""
 
     NOT_TESTED = "not tested"
     WHITE = "white"
@@ -19,7 +19,7 @@ class ResidualStructure(enum.StrEnum):
 
 
 class SigmaDoubt(enum.StrEnum):
-    """What the sizes of the residuals say of sigma, or of a few of them."""
+    """Whether the sizes of the residuals contradict sigma, or show outliers."""
 
     NONE = ""
     TOO_SMALL = "sigma too small"
@@ -34,25 +34,25 @@ class OutputDiagnostics:
     Attributes
     ----------
     output
-        The FMU's name; "all outputs together" where they are pooled.
+        The FMU's name of the output; "all outputs together" for the pooled outputs.
     samples
-        In all training experiments.
+        Number of samples in all training experiments.
     declared
-        Whether it has a sigma that its residuals can be compared with.
+        Whether the output has a declared sigma.
     rms_over_sigma
-        With the degrees of freedom that the parameters have left; over the unit of the output
-        where no sigma is declared.
+        Root mean square of the residuals over sigma. The sum of squares is divided by the degrees
+        of freedom. Without a declared sigma, it is in the unit of the output.
     noise_over_sigma
-        The noise from sample to sample, see `estimate_noise`, likewise.
+        The noise from sample to sample (`estimate_noise`), in the same unit.
     largest_over_rms
-        The largest residual in size, over `rms_over_sigma`.
+        The largest absolute residual, over `rms_over_sigma`.
     lag1, widening
         See `Autocorrelation`.
     p, length
-        Probability that white noise looks so smooth, times the number of tests of the fit; and
-        over how many samples.
+        Probability that white noise is as smooth as the residuals, times the number of tests of the
+        fit; length of the smooth structure in samples.
     structure, sigma
-        What follows.
+        The conclusions from these numbers.
     """
 
     output: str
@@ -70,7 +70,10 @@ class OutputDiagnostics:
 
     @property
     def too_narrow(self) -> bool:
-        """True unless coloured noise of a declared size explains it: intervals allow for that."""
+        """Whether the intervals are too narrow because of structure in the residuals.
+
+        They are not if coloured noise of the declared sigma explains it: intervals allow for that.
+        """
         if self.structure is ResidualStructure.AUTOCORRELATED:
             return not self.declared or bool(self.sigma)
         return self.structure is ResidualStructure.MISSING
@@ -86,12 +89,10 @@ class ResidualDiagnostics:
 
     Attributes
     ----------
-    outputs
-        One for each output.
     together
-        All outputs pooled, each over its noise; None where there is only one.
+        All outputs pooled, each divided by its noise; None if there is only one output.
     converged
-        Whether the search reached a solution: else that alone may leave structure.
+        Whether the search converged; otherwise the search alone may cause structure.
     """
 
     outputs: tuple[OutputDiagnostics, ...]
@@ -100,7 +101,7 @@ class ResidualDiagnostics:
 
     @property
     def findings(self) -> tuple[OutputDiagnostics, ...]:
-        """What to warn of: each output, or all together where no single one stands out."""
+        """The outputs to warn of, and all outputs together if only these show structure."""
         found = tuple(o for o in self.outputs if _structured(o) or o.sigma)
         if any(map(_structured, found)) or self.together is None or not _structured(self.together):
             return found
@@ -108,7 +109,7 @@ class ResidualDiagnostics:
 
     @property
     def too_narrow(self) -> bool:
-        """True where the model lacks something, or may: intervals do not allow for that."""
+        """Whether the model lacks something or may lack it; intervals do not allow for that."""
         return any(output.too_narrow for output in self.findings)
 
 
@@ -117,7 +118,7 @@ def _structured(output: OutputDiagnostics) -> bool:
 
 
 MOST_NAMED_OUTPUTS = 4
-"""Outputs in a sentence; of more, those with the largest error are named."""
+"""Largest number of outputs in a sentence; those with the largest errors are named."""
 
 ADVICE = (
     "to search for missing effects, run cluster-est close-loop CONFIG --out FOLDER, or in Python "
@@ -126,7 +127,7 @@ ADVICE = (
 
 
 def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
-    """Sentences on what is wrong with model, sigma and intervals; none where nothing is."""
+    """Return sentences on errors of the model, sigmas and intervals; none if there are none."""
     found = diagnostics.findings
     reason = "" if diagnostics.converged else "the search did not converge, or "
     missing = [o for o in found if o.structure is ResidualStructure.MISSING]
@@ -203,18 +204,18 @@ def _of_sigma(output: OutputDiagnostics) -> str:
 
 
 LEAST_NEIGHBOUR_CORRELATION = 0.1
-"""Correlation of neighbours below which it is better said over how many samples they are alike."""
+"""Correlation of neighbouring samples below which a sentence gives the length of the structure."""
 
 
 def autocorrelated(lag1: float, length: float = np.nan) -> str:
-    """Say how a residual is autocorrelated; `length` is that of its structure, in samples."""
+    """Describe the autocorrelation of a residual; `length` is its length in samples."""
     if lag1 >= LEAST_NEIGHBOUR_CORRELATION or not np.isfinite(length):
         return f"autocorrelated at lag 1 with {lag1:.2g}"
     return f"autocorrelated over about {length:.0f} samples (lag 1: {lag1:.2g})"
 
 
 def small_sigma(named: str, noise: Collection[float]) -> str:
-    """Say of some outputs that their noise over sigma is far above 1."""
+    """Say that the noise of some outputs is far above sigma; `noise` is in units of sigma."""
     return (
         f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma, so the "
         f"declared sigma is probably {from_to(noise)} times too small; correct it"
@@ -222,7 +223,7 @@ def small_sigma(named: str, noise: Collection[float]) -> str:
 
 
 def large_sigma(named: str, errors: Collection[float]) -> str:
-    """Say of some outputs that their errors over sigma are far below 1."""
+    """Say that the errors of some outputs are far below sigma; `errors` are in units of sigma."""
     return (
         f"{named}: error is {from_to(errors)} x sigma, so the declared sigma is probably "
         f"{from_to([1.0 / error for error in errors])} times too large; correct it, because "
@@ -231,7 +232,7 @@ def large_sigma(named: str, errors: Collection[float]) -> str:
 
 
 def from_to(factors: Collection[float]) -> str:
-    """Write the range of some factors: "2 to 10", or one of them where all are the same."""
+    """Write the range of factors: "2 to 10", or one number if all factors are the same."""
     ends = (min(factors), max(factors))
     least, most = (f"{end:.2g}" if end < 99.5 else f"{end:.0f}" for end in ends)
     return least if least == most else f"{least} to {most}"

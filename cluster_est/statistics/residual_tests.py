@@ -1,4 +1,4 @@
-"""Tests of a fit's residuals, output by output, and what follows from them."""
+"""Tests of a fit's residuals for each output, and their conclusions."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from cluster_est.statistics.whiteness import (
 from workers.messages import FloatArray
 
 WINDOW = 5.0
-"""Lags that are summed, over the correlation time of their sum: beyond that there is only noise."""
+"""Number of summed lags, over the correlation time of their sum; later lags are only noise."""
 
 
 @dataclass(frozen=True)
 class Autocorrelation:
-    """How much samples say of each other.
+    """The autocorrelation of residuals, and its influence on standard errors and mean squares.
 
     Attributes
     ----------
     lag1
-        Correlation of neighbours; 0 without neighbours.
+        Correlation of neighbouring samples; 0 if there are no neighbours.
     widening
-        Square root of 1 + 2 (rho_1 + rho_2 + ...), at least 1: by about so much are standard
-        errors too small that take the residuals for white, where the sensitivities vary more slowly
-        than the noise.
+        Square root of 1 + 2 (rho_1 + rho_2 + ...), at least 1. Standard errors that assume white
+        residuals are too small by about this factor if the sensitivities vary more slowly than the
+        noise.
     squares
-        1 + 2 (rho_1^2 + rho_2^2 + ...): by so much fewer samples a mean square has.
+        1 + 2 (rho_1^2 + rho_2^2 + ...): the factor by which a mean square has fewer samples.
     lags
-        That were summed.
+        Number of lags in these sums.
     """
 
     lag1: float
@@ -54,7 +54,7 @@ class Autocorrelation:
 
 
 def lagged_products(parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the sums of r_t r_{t+k} for each lag k from 0 on, over parts that are kept apart."""
+    """Return the sums of r_t r_{t+k} for lags k = 0, 1, ...; no product spans two parts."""
     sums = np.zeros(max(map(len, parts), default=0))
     for part in parts:
         padded = next_fast_len(2 * len(part), real=True)
@@ -65,20 +65,20 @@ def lagged_products(parts: Sequence[FloatArray]) -> FloatArray:
 
 
 def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> Autocorrelation:
-    """Autocorrelation rho_k = sum r_t r_{t+k} / sum r_t^2 of the residuals in some records.
+    """Return the autocorrelation rho_k = sum r_t r_{t+k} / sum r_t^2 of pooled records.
 
-    No product spans two records. The sums over lags end at the first lag that is 5 times the
-    correlation time up to it: A. Sokal in Functional Integration (1997) 131-192,
-    doi:10.1007/978-1-4899-0319-8_6, section 3. The effective number of samples of a mean and of a
-    mean square: G. V. Bayley, J. M. Hammersley, Suppl. J. R. Stat. Soc. 8 (1946) 184-197,
+    No product spans two records. The sums over lags end at the first lag that is at least 5 times
+    the correlation time of the lags so far (A. Sokal in Functional Integration (1997) 131-192,
+    doi:10.1007/978-1-4899-0319-8_6, section 3). For the effective numbers of samples of a mean and
+    of a mean square, see G. V. Bayley, J. M. Hammersley, Suppl. J. R. Stat. Soc. 8 (1946) 184-197,
     doi:10.2307/2983560.
 
     Parameters
     ----------
     residuals : (n,)
-        Stacked; their scale is irrelevant.
+        Residuals of all records; their scale is irrelevant.
     records
-        Records that are pooled.
+        The records to pool.
     """
     covariances = lagged_products([residuals[r.rows] for r in records if len(r.times)])
     if len(covariances) < 2 or covariances[0] <= 0.0:
@@ -94,46 +94,48 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
 
 
 FAMILY_WISE_LEVEL = 2e-3
-"""Level of all tests of structure in a fit together, and of all tests of size: of a hundred fits in
-which nothing is wrong none warns. Of 1500 linear fits to white noise, of one or two outputs and 60
-to 300 samples a record, 0.3 % were below it, with a standard error of 0.15 %."""
+"""Family-wise level of all tests of structure in a fit, and of all tests of size. So fewer than 1
+of 100 fits has a false warning. In 1500 linear fits to white noise, with one or two outputs and 60
+to 300 samples per record, 0.3 % of the fits were below it (standard error 0.15 %)."""
 
 MOST_TRANSFORMED_ENTRIES = 1_000_000
-"""Entries of a Jacobian that is taken into account, for about a second of transforms. Without it
-the test expects more smoothness of noise than a fit has left, and may only see a little less."""
+"""Largest number of entries of a Jacobian that the test uses; its transforms take about a second.
+Without the Jacobian, the test ignores that a fit removes smooth parts of noise, so it is slightly
+less sensitive."""
 
 LEAST_DEGREES = 20
-"""Degrees of freedom that an output needs, or its p-values are too rough."""
+"""Least degrees of freedom of a tested output; with fewer, p-values are too inaccurate."""
 
 LARGE_RMS_OVER_SIGMA, SMALL_RMS_OVER_SIGMA = 1.2, 0.5
-"""An rms over sigma above or below these is worth a word: a sigma is rarely known any better."""
+"""Ratios of rms to sigma above and below which sigma is doubted; a sigma is rarely known better."""
 
 NOISY = 2.0
-"""Noise over sigma from which on the declared sigma itself is doubted."""
+"""Ratio of noise to sigma above which the declared sigma itself is doubted."""
 
 LEAST_NOISE_OVER_RMS = 1e-3
-"""Noise over rms below which the estimate is not believed."""
+"""Ratio of noise to rms below which the noise estimate is not used."""
 
 ALL_OUTPUTS_TOGETHER = "all outputs together"
 
 
 def structure(tested: ProjectedResidual, records: StackedRecords) -> SmoothnessTest:
-    """Test a residual for smooth structure: each output, and all together.
+    """Test a residual for smooth structure: each output, and all outputs together.
 
-    It needs no candidates, so it also fires where nothing in a library explains the residual; where
-    one does, `score.family_wise` sees smaller effects. Coloured noise is smooth structure too.
+    The test needs no candidates, so it also detects structure that no form of the library explains.
+    If a candidate explains it, `score.family_wise` detects smaller effects. Coloured noise is also
+    smooth structure.
 
     Parameters
     ----------
     tested
-        Its scale is irrelevant.
+        The residual; its scale is irrelevant.
     records
-        Its rows.
+        The rows of each output and experiment.
 
     Returns
     -------
     SmoothnessTest
-        The smallest p-value of `ResidualTests`, times their number; 1 where nothing can be tested.
+        The smallest p-value of `ResidualTests`, times their number; 1 if nothing can be tested.
     """
     basis = tested.projection.basis
     left = tested.projection.remove(tested.residuals)
@@ -155,15 +157,15 @@ class ResidualTests:
     Attributes
     ----------
     residuals : (n,)
-        Stacked, over sigma.
+        Residuals of all records, over sigma.
     records
-        Their rows.
+        The rows of each output and experiment.
     basis : (n, rank)
-        Orthonormal directions that the fit has taken out; none of them where they are not known.
+        Orthonormal directions that the fit has removed; rank 0 if they are not known.
     declared
-        Whether each output has a sigma that its residuals can be compared with.
+        Whether each output has a declared sigma.
     exact
-        Whether each output is followed so closely that there is nothing to test.
+        Whether each output is fitted so closely that there is nothing to test.
     """
 
     residuals: FloatArray = field(repr=False)
@@ -173,19 +175,19 @@ class ResidualTests:
     exact: tuple[bool, ...]
 
     def run(self) -> tuple[tuple[OutputDiagnostics, ...], OutputDiagnostics | None]:
-        """Test each output, and all together.
+        """Test each output, and all outputs together.
 
-        Structure is looked for by `smoothness`. The size of a mean square is judged by a
-        chi-squared distribution with the degrees of freedom that the parameters left, divided by
-        what autocorrelation takes away (`Autocorrelation.squares`). `FAMILY_WISE_LEVEL` is shared
-        by all tests (Bonferroni).
+        `smoothness` tests for structure. The size of a mean square is compared with a chi-squared
+        distribution. Its degrees of freedom are those that the fit leaves, divided by the factor
+        for autocorrelation (`Autocorrelation.squares`). All tests share `FAMILY_WISE_LEVEL`
+        (Bonferroni).
 
         Returns
         -------
         outputs
             One for each output.
         together
-            None where there are no two outputs to test.
+            None if there are fewer than two outputs to test.
         """
         noise = self._noise()
         scopes = self._scopes(noise)
@@ -202,7 +204,7 @@ class ResidualTests:
         return outputs, found[-1] if len(found) > len(outputs) else None
 
     def _noise(self) -> FloatArray:
-        """Noise of each output over sigma, never 0."""
+        """Return the noise of each output over sigma; it is never 0."""
         names = range(len(self.records.outputs))
         rms = np.array([_rms(self.residuals[self.records.of_output(o)]) for o in names])
         noise = estimate_noise(self.residuals, self.records)
@@ -210,7 +212,7 @@ class ResidualTests:
         return np.where(noise > 0.0, noise, np.min(noise[noise > 0.0], initial=1.0))
 
     def _scopes(self, noise: FloatArray) -> list[_Scope]:
-        """Return each output, and all together where there are several that can be tested."""
+        """Return each output, and all outputs together if at least two can be tested."""
         scopes = []
         for o, name in enumerate(self.records.outputs):
             items = [item for item in self.records.items if item.output == o]
@@ -238,7 +240,7 @@ class ResidualTests:
     def _of(
         self, scope: _Scope, scaled: FloatArray, results: Mapping[str, SmoothnessTest]
     ) -> OutputDiagnostics:
-        """Judge records that were tested; of others say only what they are."""
+        """Return the findings of a scope; without a test, there are no conclusions."""
         related = autocorrelation(scaled, scope.items)
         size = _Size(
             square=scope.square,
@@ -271,7 +273,7 @@ class ResidualTests:
 
 @dataclass(frozen=True)
 class _Scope:
-    """Records that are judged together, and the sum of their squares over sigma squared."""
+    """Records that are tested together, and their sum of squares over sigma squared."""
 
     name: str
     items: Sequence[OutputRecord]
@@ -286,7 +288,7 @@ class _Scope:
 
 @dataclass(frozen=True)
 class _Size:
-    """A sum of squares over sigma^2, its degrees of freedom, and what correlation makes of them."""
+    """A sum of squares over sigma^2, its degrees of freedom, and the factor of correlation."""
 
     square: float
     degrees: float
@@ -300,22 +302,22 @@ class _Size:
 
     @property
     def large(self) -> bool:
-        """Return whether it is above sigma by more than chance and carelessness."""
+        """Whether the rms exceeds sigma by more than chance and the usual uncertainty of sigma."""
         p = chdtrc(self.degrees / self.correlation, self.square / self.correlation)
         return self.rms > LARGE_RMS_OVER_SIGMA and bool(p < self.level)
 
     @property
     def outlying(self) -> bool:
-        """Return whether the largest residual lies too far off for normal noise of this size.
+        """Whether the largest residual is too large for normal noise of this size.
 
         The test of F. E. Grubbs, Ann. Math. Statist. 21 (1950) 27-58, doi:10.1214/aoms/1177729885,
-        with a normal distribution in place of Student's, and Bonferroni's inequality.
+        with a normal distribution instead of Student's, and Bonferroni's inequality.
         """
         return bool(2.0 * self.degrees * ndtr(-self.largest / self.rms) < self.level)
 
     @property
     def small(self) -> bool:
-        """Return whether it is below."""
+        """Whether the rms is clearly below sigma."""
         p = chdtr(self.degrees / self.correlation, self.square / self.correlation)
         return self.rms < SMALL_RMS_OVER_SIGMA and bool(p < self.level)
 
@@ -323,7 +325,7 @@ class _Size:
 def _judged(
     p: float, size: _Size, noise: float, *, declared: bool
 ) -> tuple[ResidualStructure, SigmaDoubt]:
-    """Say what a p-value of smoothness, and the sizes of residuals and noise over sigma, mean."""
+    """Return the conclusions from the p-value of smoothness and the sizes of residual and noise."""
     related = p < FAMILY_WISE_LEVEL
     structure = ResidualStructure.AUTOCORRELATED if related else ResidualStructure.WHITE
     if declared and size.small:

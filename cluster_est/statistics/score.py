@@ -1,7 +1,7 @@
-"""Score tests of candidate directions, and the distribution of the best of them by chance.
+"""Score tests of candidate directions, and the distribution of the best one by chance.
 
-Symbols are those of the references: r the residual, D the columns of a candidate, P the projection,
-B an orthonormal basis of P D, T the statistic.
+The symbols are those of the references: r is the residual, D the columns of a candidate, P the
+projection, B an orthonormal basis of P D, and T the statistic.
 """
 
 from __future__ import annotations
@@ -18,35 +18,36 @@ from cluster_est.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from workers.messages import FloatArray, IntArray
 
 CONFOUNDED = 5e-3
-"""Share of a direction outside the parameters below which it cannot be distinguished from them: the
-linearisations of a simulation are not more exact."""
+"""Share of a direction outside the parameters below which it cannot be distinguished from them,
+because linearisations of a simulation are not more accurate."""
 
 NEARLY_DEPENDENT_COLUMNS = 1e-3
-"""Smallest singular value of a candidate's scaled columns, over the largest, that counts; a
-direction below it is made of the simulations' own errors."""
+"""Least ratio of a singular value of a candidate's scaled columns to the largest one; directions
+with smaller values come from errors of the simulations."""
 
 CERTAIN = 1e-6
-"""Probability below which none of the draws would beat the best candidate."""
+"""If the probability that any draw beats the best candidate is below this, no draws are made."""
 
 NEARLY_DEPENDENT_BASES = 1e-10
-"""Part of a squared length, over the largest, that other bases leave of one which they span."""
+"""Relative squared length below which the rest of a basis vector, after projection on the others,
+counts as zero."""
 
 
 @dataclass(frozen=True)
 class ScoreTests:
-    """Score tests of candidates, in the order in which these were given.
+    """Score tests of candidates, in the given order.
 
     Attributes
     ----------
     statistics : (candidates,)
-        T = |B' P r|^2 / s^2, chi-squared with `df` degrees of freedom where nothing is missing.
+        T = |B' P r|^2 / s^2, chi-squared with `df` degrees of freedom if no effect is missing.
     df : (candidates,)
-        Independent directions of each; 0 for a candidate that was set aside because the declared
-        parameters confound it.
+        Number of independent directions; 0 for a candidate that was set aside because the declared
+        parameters can imitate it.
     ratio : (candidates,)
-        |P D| / |D|: the share of the candidate that the parameters cannot confound.
+        |P D| / |D|: the share of the candidate that the parameters cannot imitate.
     log_p : (candidates,)
-        Natural logarithm of the p-value; use it to rank, since p itself underflows.
+        Natural logarithm of the p-value. Use it for a ranking, because p itself may underflow.
     explained : (candidates,)
         R2: the share of the projected residual's sum of squares that the candidate would remove.
     bases : (n, sum of df)
@@ -54,11 +55,11 @@ class ScoreTests:
     offsets : (candidates + 1,)
         Candidate k has the columns offsets[k] to offsets[k + 1] of `bases`.
     coordinates : (sum of df,)
-        B' P r / s, all candidates; their squares add up to the statistics.
+        B' P r / s of all candidates; the sum of a candidate's squares is its statistic.
     variance
-        s^2 = |P r|^2 / degrees; 0 if nothing is left of the residual.
+        s^2 = |P r|^2 / degrees; 0 if the projected residual is 0.
     degrees
-        n - rank of the projection.
+        n minus the rank of the projection.
     """
 
     statistics: FloatArray
@@ -74,7 +75,7 @@ class ScoreTests:
 
     @property
     def p_values(self) -> FloatArray:
-        """p-value of each candidate alone, 1 for those set aside."""
+        """The p-value of each single candidate; 1 for candidates that were set aside."""
         return np.exp(self.log_p)
 
     def first(self, count: int) -> Self:
@@ -93,7 +94,7 @@ class ScoreTests:
         )
 
     def with_more(self, more: ScoreTests) -> Self:
-        """Return these tests, and behind them those of further candidates of the same residual."""
+        """Return these tests, followed by tests of further candidates for the same residual."""
         return replace(
             self,
             statistics=np.concatenate([self.statistics, more.statistics]),
@@ -107,7 +108,7 @@ class ScoreTests:
         )
 
     def without_bases(self) -> Self:
-        """Return the tests alone: bases are by far the largest part."""
+        """Return the tests without bases, which need by far the most memory."""
         return replace(self, bases=np.zeros((len(self.bases), 0)))
 
 
@@ -118,29 +119,30 @@ def score(
     confounded: float = CONFOUNDED,
     change: Callable[[FloatArray], FloatArray] | None = None,
 ) -> ScoreTests:
-    """Test for each candidate whether adding it would reduce the residual more than noise allows.
+    """Test for each candidate whether it would reduce the residual by more than chance.
 
-    Rao's score, or Lagrange multiplier, test: with P the projection that removes the declared
-    parameters, B an orthonormal basis of P D and s^2 = |P r|^2 / (n - rank), T = |B' P r|^2 / s^2.
-    C. R. Rao, Proc. Cambridge Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987. It
-    needs no refit: the candidate's direction at zero strength is enough.
+    This is Rao's score test (Lagrange multiplier test). P is the projection that removes the
+    declared parameters, B an orthonormal basis of P D, s^2 = |P r|^2 / (n - rank), and
+    T = |B' P r|^2 / s^2 (C. R. Rao, Proc. Cambridge Philos. Soc. 44 (1948) 50-57,
+    doi:10.1017/S0305004100023987). The test needs only the candidate's direction at zero strength,
+    and no refit.
 
-    A direction counts if enough of it lies outside the declared parameters. Of a candidate with
-    several columns, dependent ones are dropped. The scales of residual and columns do not
-    matter, nor does the order of candidates.
+    A direction counts if a sufficient share of it lies outside the declared parameters. Dependent
+    columns of a candidate are dropped. The result does not depend on the scales of residual and
+    columns, or on the order of the candidates.
 
     Parameters
     ----------
     projection
-        Of the sensitivities to the declared parameters.
+        Removes the sensitivities to the declared parameters.
     residuals : (n,)
-        Stacked.
+        Residuals of all records.
     columns : each (n, d)
-        Change of the residuals with each of a candidate's coefficients, d is 1 for most.
+        Derivatives of the residuals with respect to a candidate's coefficients; usually d = 1.
     confounded
-        Share of a direction that must lie outside the declared parameters.
+        Least share of a direction that must lie outside the declared parameters.
     change
-        What is done to each of the columns before.
+        Function that is first applied to the columns of each candidate.
     """
     sizes = [column.shape[1] for column in columns]
     units = np.empty((sum(sizes), len(residuals)))  # transposed: each column is contiguous
@@ -166,21 +168,21 @@ def score(
 
 
 def family_wise(scores: ScoreTests, generator: np.random.Generator, draws: int = 2000) -> float:
-    """Probability that the best of these candidates is at least as good on white noise.
+    """Return the probability that, on white noise, the best candidate is at least as good.
 
-    The smallest p-value of all candidates is compared with its distribution under the null, with
-    the candidates' correlation in it. With e white, B' e depends on the span of all bases only:
-    B' e = L z, L L' = B' B, z ~ N(0, I), and |P e|^2 = |z|^2 + a chi-squared number for the
-    remaining degrees of freedom. Drawing z instead of e is exact and independent of n.
-    P. H. Westfall, S. S. Young, Resampling-Based Multiple Testing (1993), chapter 2.
+    The smallest p-value of all candidates is compared with its distribution under the null
+    hypothesis, which includes the correlation of the candidates. For white noise e, B' e = L z with
+    L L' = B' B and z ~ N(0, I), and |P e|^2 = |z|^2 plus a chi-squared number for the remaining
+    degrees of freedom. So z is drawn instead of e, which is exact and independent of n (P. H.
+    Westfall, S. S. Young, Resampling-Based Multiple Testing (1993), chapter 2).
 
-    Beyond the best of the draws p is bounded by Bonferroni's inequality, so that strong evidence
-    can be ranked too. Where by that bound none of the draws would be better, none is made.
+    If no draw is better, p is limited by Bonferroni's inequality, so that strong evidence can also
+    be ranked. If this bound says that no draw would be better, no draws are made.
 
     Parameters
     ----------
     draws
-        Simulated residuals; 2000 gives a standard error of 0.002 at p = 0.01.
+        Number of draws; 2000 give a standard error of 0.002 at p = 0.01.
     """
     tested = int((scores.df > 0).sum())
     if not tested or scores.variance == 0.0:
@@ -195,17 +197,17 @@ def family_wise(scores: ScoreTests, generator: np.random.Generator, draws: int =
 
 
 def log_survival(statistics: FloatArray, df: IntArray) -> FloatArray:
-    """Logarithm of the probability that a chi-squared number exceeds each statistic.
+    """Return the logarithm of the probability that a chi-squared number exceeds each statistic.
 
-    Where the probability itself underflows, at statistics of about 1500, by the contracted
-    continued fraction of the incomplete gamma function, https://dlmf.nist.gov/8.9.E2. `df` of 0
-    gives 0.
+    If the probability itself underflows (for statistics above about 1500), the contracted continued
+    fraction of the incomplete gamma function is used, https://dlmf.nist.gov/8.9.E2. For `df` = 0
+    the result is 0.
     """
     statistics, df = np.broadcast_arrays(np.asarray(statistics, dtype=float), df)
     a, x = df / 2.0, statistics / 2.0
     result = np.zeros(a.shape)
     one = df == 1
-    # the most frequent case, without a loss of digits anywhere
+    # the most frequent case, without any loss of accuracy
     result[one] = np.log(2.0) + log_ndtr(-np.sqrt(statistics[one]))
     more = df > 1
     survival = gammaincc(a[more], x[more])
@@ -217,7 +219,7 @@ def log_survival(statistics: FloatArray, df: IntArray) -> FloatArray:
 
 
 def _far_tail(a: FloatArray, x: FloatArray) -> FloatArray:
-    """Logarithm of gammaincc(a, x) for x far above a."""
+    """Return the logarithm of gammaincc(a, x) for x far above a."""
     fraction = np.zeros_like(x)
     for k in range(30, 0, -1):
         fraction = -k * (k - a) / (x + 2 * k + 1 - a + fraction)
@@ -232,7 +234,7 @@ def _tested(
     owners: IntArray,
     ratio: FloatArray,
 ) -> ScoreTests:
-    """The statistics of candidates whose basis columns have these owners."""
+    """Return the tests; `owners` are the indices of the candidates of the basis columns."""
     left = projection.remove(residuals)
     square, degrees = float(left @ left), projection.degrees
     if square <= NOTHING_LEFT**2 * float(residuals @ residuals):
@@ -256,13 +258,13 @@ def _tested(
 
 
 LARGEST_SQUARABLE_LENGTH = 1e150
-"""Length of a direction whose squares do not overflow."""
+"""Largest length of a direction whose square does not overflow."""
 
 
 def _normalise(rows: FloatArray) -> FloatArray:
-    """Scale rows to length 1 in place, rows of zeros excepted; their lengths before.
+    """Scale rows to length 1 in place, except zero rows, and return their lengths before.
 
-    Rows whose squares would overflow, as along a trajectory that runs away, become rows of zeros.
+    Rows whose squares would overflow, as with a diverging trajectory, become zero.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         lengths: FloatArray = np.linalg.norm(rows, axis=1)
@@ -275,18 +277,21 @@ def _normalise(rows: FloatArray) -> FloatArray:
 def _usable(
     lengths: FloatArray, shares: FloatArray, owners: IntArray, count: int, confounded: float
 ) -> IntArray:
-    """Columns that are neither confounded with the parameters nor nothing beside their siblings."""
+    """Return a mask of usable columns.
+
+    They are not confounded with the parameters, and not negligible within their candidate.
+    """
     longest = np.zeros(count)
     np.maximum.at(longest, owners, lengths)
     return (shares >= confounded) & (lengths > 1e-9 * longest[owners])
 
 
 def _orthonormal(units: FloatArray, outside: FloatArray, confounded: float) -> FloatArray:
-    """Rows that span the directions of one candidate that count, outside the parameters.
+    """Return orthonormal rows that span a candidate's usable directions outside the parameters.
 
-    First dependent directions of the candidate itself are dropped, then those of the rest that the
-    parameters confound: the singular values of the projected orthonormal basis are the sines of its
-    angles to them.
+    First, dependent directions of the candidate are dropped. Then those directions are dropped that
+    the parameters can imitate: the singular values of the projected orthonormal basis are the sines
+    of its angles to the parameters.
     """
     values, vectors = np.linalg.eigh(units @ units.T)
     kept = values > NEARLY_DEPENDENT_COLUMNS**2 * values[-1]
@@ -298,7 +303,7 @@ def _orthonormal(units: FloatArray, outside: FloatArray, confounded: float) -> F
 
 
 def _null_of_least(scores: ScoreTests, generator: np.random.Generator, draws: int) -> FloatArray:
-    """Logarithm of the smallest p-value of all candidates, (draws,) times under the null."""
+    """Return the log of the smallest p-value for draws under the null hypothesis: (draws,)."""
     factor = _root(scores.bases.T @ scores.bases)
     z = generator.standard_normal((draws, factor.shape[1]))
     rest = scores.degrees - factor.shape[1]
@@ -307,7 +312,7 @@ def _null_of_least(scores: ScoreTests, generator: np.random.Generator, draws: in
     present = scores.df > 0
     statistics = np.add.reduceat(squares, scores.offsets[:-1][present], axis=1)
     least = np.zeros(draws)
-    # among candidates of equal df the largest statistic has the smallest p-value: few logarithms
+    # for equal df, the largest statistic has the smallest p-value, so few logarithms are needed
     for df in np.unique(scores.df[present]):
         largest = statistics[:, scores.df[present] == df].max(axis=1)
         least = np.minimum(least, log_survival(largest, df))
@@ -315,12 +320,12 @@ def _null_of_least(scores: ScoreTests, generator: np.random.Generator, draws: in
 
 
 def _root(matrix: FloatArray) -> FloatArray:
-    """Return L, (m, rank), with L L' a positive semidefinite matrix, (m, m).
+    """Return L, (m, rank), with L L' equal to a positive semidefinite matrix, (m, m).
 
-    By a Cholesky factorisation that takes the largest of the remaining diagonal next, and ends
-    where nothing is left: rank^2 m operations, a tenth of those of all eigenvectors. What it leaves
-    out has a trace below m times `NEARLY_DEPENDENT_BASES` (N. J. Higham, in: Reliable Numerical
-    Computation (Oxford University Press, 1990) 161-185).
+    This is a Cholesky factorisation with complete pivoting, which ends when the remaining diagonal
+    is negligible. It takes rank^2 m operations, a tenth of those of an eigendecomposition. The
+    trace of the remainder is below m times `NEARLY_DEPENDENT_BASES` (N. J. Higham, in: Reliable
+    Numerical Computation (Oxford University Press, 1990) 161-185).
     """
     least = NEARLY_DEPENDENT_BASES * float(np.diag(matrix).max())
     upper, pivots, rank, _ = dpstrf(matrix, tol=least)
@@ -330,12 +335,12 @@ def _root(matrix: FloatArray) -> FloatArray:
 
 
 def _summed(values: FloatArray, owners: IntArray, count: int) -> FloatArray:
-    """Sum of the values of each owner."""
+    """Return the sum of the values of each owner."""
     sums: FloatArray = np.bincount(owners, values, count).astype(float)
     return sums
 
 
 def _blocks(sizes: Sequence[int]) -> list[tuple[int, int]]:
-    """Start and stop of consecutive blocks."""
+    """Return start and stop of consecutive blocks."""
     stops = np.cumsum(sizes, dtype=int).tolist()
     return list(zip([0, *stops], stops, strict=False))

@@ -1,10 +1,10 @@
-"""The posterior of the unknowns: its density, draws from it, and whether they can be trusted.
+"""The posterior of the unknowns: its density, draws from it, and tests of their convergence.
 
-Walkers are placed around an optimum and moved, as a search on the queue; then their chains are
-judged and summed up. Half of the walkers move at a time, along differences of two others, so that
-each request is a batch of simulations and no step size has to be chosen (C. J. F. ter Braak, Stat.
-Comput. 16 (2006) 239-249, doi:10.1007/s11222-006-8769-1), by the package emcee (D. Foreman-Mackey,
-D. W. Hogg, D. Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067).
+Walkers start around an optimum, and the package emcee moves them (D. Foreman-Mackey, D. W. Hogg, D.
+Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067). Half of the walkers move at a time,
+along differences of two others, so that each request is a batch of simulations and no step size has
+to be chosen (differential evolution: C. J. F. ter Braak, Stat. Comput. 16 (2006) 239-249,
+doi:10.1007/s11222-006-8769-1). Then the chains are tested and summarised.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ from workers.messages import FloatArray
 
 
 def log_density(space: SearchSpace, x: FloatArray, at: Evaluation) -> float:
-    """Return ln p(x | measurements) in search coordinates, but for a constant.
+    """Return ln p(x | measurements) in search coordinates, up to a constant.
 
-    The likelihood is exp(-F / 2) with F the sum of squares over the squared sigmas, or the Gaussian
-    likelihood's F, at the sigmas that it estimates. An unknown without a prior is uniform between
-    its bounds on its own scale: with a log scale, its logarithm is.
+    The likelihood is exp(-F / 2). F is the sum of squared residuals over sigma^2, or the F of the
+    Gaussian likelihood with its estimated sigmas. An unknown without a prior is uniform between its
+    bounds on its own scale; for a log scale, its logarithm is uniform.
 
     Parameters
     ----------
     space, x
-        The point.
+        The search space, and the point.
     at
-        Its evaluation.
+        The evaluation at the point.
     """
     if not at.feasible or not math.isfinite(at.cost):
         return -math.inf
@@ -69,7 +69,7 @@ def log_density(space: SearchSpace, x: FloatArray, at: Evaluation) -> float:
 
 
 def _beside_the_cost(unknown: Unknown, searched: float) -> float:
-    """What the density of a prior has besides the square of its residual, which is in the cost."""
+    """Return the part of a prior's log density that is not in the cost as a squared residual."""
     value, prior = unknown.to_physical(searched), unknown.prior
     assert prior is not None
     change = math.log(value) if unknown.log and value > 0.0 else 0.0
@@ -77,23 +77,23 @@ def _beside_the_cost(unknown: Unknown, searched: float) -> float:
 
 
 LEAST_WALKERS = 8
-"""Differences of others are taken from half of them."""
+"""Least number of walkers; only half of them are available for differences."""
 
 
 def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
-    """Refuse to draw where the cost is no likelihood, walkers are too few, or emcee is missing.
+    """Refuse a problem or a number of walkers with which no draws are possible.
 
     Parameters
     ----------
     space
-        Of the unknowns.
+        Search space of the unknowns.
     walkers
-        Their number; 0 for as many as the unknowns need.
+        Number of walkers; 0 for the number that the unknowns need.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If the cost is not a likelihood, there are too few walkers, or emcee is not installed.
     """
     if find_spec("emcee") is None:
         raise ProblemError(
@@ -138,7 +138,7 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
 def autocorrelation_times(chain: FloatArray) -> FloatArray:
     """Return the integrated autocorrelation time of each unknown, in steps.
 
-    The mean of a chain of n steps of w walkers is as exact as that of w n / time independent draws
+    The mean over n steps of w walkers is as accurate as the mean of w n / time independent draws
     (A. Sokal, in C. DeWitt-Morette et al., Functional Integration (1997),
     doi:10.1007/978-1-4899-0319-8_6).
 
@@ -149,7 +149,7 @@ def autocorrelation_times(chain: FloatArray) -> FloatArray:
     Returns
     -------
     (unknowns,)
-        At least 1; infinite for an unknown that some walker never moved.
+        At least 1; infinite for an unknown that did not change in some walker.
     """
     from emcee.autocorr import integrated_time  # only a posterior needs it
 
@@ -161,12 +161,12 @@ def autocorrelation_times(chain: FloatArray) -> FloatArray:
 
 
 def split_shrink_factors(chain: FloatArray) -> FloatArray:
-    """Return by how much the spread of each unknown would shrink if the chains were longer.
+    """Return the potential scale reduction of split chains (split R-hat) for each unknown.
 
-    The potential scale reduction of split chains, sqrt(((n - 1) / n W + B / n) / W) with W the mean
-    variance within the halves of all walkers and B / n that of their means (A. Gelman, D. B. Rubin,
-    Stat. Sci. 7 (1992) 457-472, doi:10.1214/ss/1177011136; A. Vehtari et al., Bayesian Anal. 16
-    (2021) 667-718, doi:10.1214/20-BA1221). 1 for chains that all tell the same.
+    It is sqrt(((n - 1) / n W + B / n) / W), where W is the mean variance within the halves of all
+    walkers, and B / n the variance of their means (A. Gelman, D. B. Rubin, Stat. Sci. 7 (1992)
+    457-472, doi:10.1214/ss/1177011136; A. Vehtari et al., Bayesian Anal. 16 (2021) 667-718,
+    doi:10.1214/20-BA1221). It is 1 if all chains have the same distribution.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def split_shrink_factors(chain: FloatArray) -> FloatArray:
     Returns
     -------
     (unknowns,)
-        Infinite for an unknown that never moved.
+        Infinite for an unknown that never changed.
     """
     half = len(chain) // 2
     if half < 2:
@@ -189,12 +189,13 @@ def split_shrink_factors(chain: FloatArray) -> FloatArray:
 
 
 WHOLE_DIFFERENCES = 0.1
-"""Share of the moves by a whole difference, which lead from one mode to another (ter Braak)."""
+"""Share of the moves with a factor of 1 on the difference; they can jump between modes (ter
+Braak)."""
 
 
 @dataclass
 class WalkerChain:
-    """The states of an ensemble, step after step, in search coordinates."""
+    """The positions of all walkers after each step, in search coordinates."""
 
     states: list[FloatArray] = field(default_factory=list)
     densities: list[FloatArray] = field(default_factory=list)
@@ -208,16 +209,16 @@ class WalkerChain:
 
 @dataclass(frozen=True, eq=False)
 class EnsembleSampling(Method):
-    """Move walkers, and keep where they were.
+    """Moves walkers, and stores their positions.
 
     Attributes
     ----------
     starts : (walkers, unknowns)
-        In search coordinates, within the bounds.
+        Start points in search coordinates, within the bounds.
     steps
-        Of each walker.
+        Number of steps of each walker.
     chain
-        Takes what is drawn; a search that is cut short leaves in it what there was.
+        Receives the draws; if the search is interrupted, it contains the draws so far.
     """
 
     name: ClassVar[str] = "posterior"
@@ -250,7 +251,7 @@ class EnsembleSampling(Method):
             self.starts, iterations=self.steps, store=False, skip_initial_state_check=True
         )
         try:
-            with np.errstate(invalid="ignore"):  # from one point without a density to another
+            with np.errstate(invalid="ignore"):  # a move between two points with zero density
                 for state in steps:
                     self.chain.add(state.coords, state.log_prob)
                     density.progress = Progress(len(self.chain.states), density.best_cost)
@@ -264,11 +265,11 @@ class EnsembleSampling(Method):
 
 
 class _NoDensityError(Exception):
-    """No walker begins at a point with a density: moves would lead nowhere."""
+    """All walkers start at points with zero density, so they could not move."""
 
 
 class _Density:
-    """The log density of many points at once, for the sampler to call."""
+    """The log density of many points at once, which the sampler calls."""
 
     def __init__(self, space: SearchSpace, ask: Ask, chain: WalkerChain) -> None:
         self._space, self._ask, self._chain = space, ask, chain
@@ -302,18 +303,18 @@ class _Density:
 
 USUAL_WALKERS = 16
 PER_UNKNOWN = 4
-"""Walkers; twice the number of unknowns is the least with which differences span all directions."""
+"""Walkers per unknown; at least 2 are needed so that differences span all directions."""
 FORGOTTEN = 10.0
-"""Autocorrelation times after which a walker has forgotten its start."""
+"""Number of autocorrelation times after which a walker is independent of its start."""
 MOST_DISCARDED = 0.5
 """Largest share of the steps that is discarded."""
 WIDEST = 0.25
-"""Widest standard deviation of walkers, as a part of the range between the bounds: that of nearly
-uniform walkers."""
+"""Largest standard deviation of the first walkers, over the distance of the bounds; the walkers are
+then nearly uniform."""
 INITIAL_WALKER_SPREAD = 2.0
-"""Standard deviation of the first walkers, in those of the likelihood."""
+"""Standard deviation of the first walkers, over that of the likelihood."""
 SPREAD = 0.1
-"""Spread of walkers where no standard error is known, as a part of a typical size."""
+"""Spread of the first walkers without a standard error, over the typical size of an unknown."""
 
 
 def sample_posterior(
@@ -329,15 +330,15 @@ def sample_posterior(
     Parameters
     ----------
     runner
-        For the simulations: half of the walkers at a time.
+        Runs the simulations, for half of the walkers at a time.
     space, solution
-        The space that was searched, and the optimum, around which the walkers begin.
+        The search space, and the optimum, around which the walkers start.
     intervals
-        Of the unknowns, from derivatives: how far around.
+        Intervals of the unknowns from derivatives; they give the spread of the start points.
     settings
         Steps, walkers and confidence.
     generator
-        The source of all chance.
+        Generates all random numbers.
     """
     check_posterior(space, settings.walkers)
     count = settings.walkers or max(USUAL_WALKERS, PER_UNKNOWN * space.size)
@@ -387,10 +388,10 @@ def _starts(
     count: int,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """(walkers, unknowns): normal around the optimum, within the bounds.
+    """Return normally distributed start points around the optimum: (walkers, unknowns).
 
-    With the covariance of the likelihood, where its derivatives are known: walkers that ignore how
-    unknowns make up for each other begin far from where the density is, and may stay there.
+    They have the covariance of the likelihood, if its derivatives are known. Without the
+    correlations, walkers may start, and stay, where the density is very small.
     """
     x = solution.x
     values = np.array(list(space.estimates(x).values()))
@@ -411,7 +412,7 @@ def _starts(
 
 
 def _folded(points: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Points beyond a bound, folded back as often as it takes: no two walkers on one bound."""
+    """Reflect points at the bounds until they lie inside, so that none lies on a bound."""
     both = np.isfinite(lower) & np.isfinite(upper)
     width = np.where(both, upper - lower, 1.0)
     from_lower = np.where(both, points - lower, 0.0) % (2.0 * width)
@@ -424,7 +425,7 @@ def _folded(points: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
 def _summed_up(
     space: SearchSpace, solution: Solution, chain: WalkerChain, settings: UncertaintySettings
 ) -> PosteriorResult:
-    """Leave out the first steps, judge the others, and take their quantiles."""
+    """Discard the first steps, test the convergence of the others, and compute their quantiles."""
     states, densities = np.array(chain.states), np.array(chain.densities)
     most = int(MOST_DISCARDED * len(states))
     slowest = float(autocorrelation_times(states[most:]).max(initial=1.0))
@@ -451,7 +452,7 @@ def _intervals(
     values: FloatArray,
     confidence: float,
 ) -> tuple[PosteriorInterval, ...]:
-    """The central intervals; without numbers where the chains have not mixed."""
+    """Return the central intervals; they are NaN if the chains have not mixed."""
     times, factors = autocorrelation_times(kept), split_shrink_factors(kept)
     estimates, draws = space.estimates(solution.x), kept.shape[0] * kept.shape[1]
     ends, found = central(confidence), []

@@ -1,4 +1,4 @@
-"""The points of a profile: the choice of the next one on a side, and what they and its ends say."""
+"""The points of a likelihood profile, the choice of the next point, and the ends of the profile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from workers.messages.types import by_content
 
 
 class ProfileEnd(enum.StrEnum):
-    """How one side of a profile ends, or why it has no end; the texts of the tables."""
+    """How one side of a profile ends, or why it has no end; the values are texts in tables."""
 
     FOUND = ""
     BOUND = "bound"
@@ -26,7 +26,7 @@ class ProfileEnd(enum.StrEnum):
 class ProfilePoint:
     """A refit: the fixed value, the cost, and all unknowns, in physical units.
 
-    `root` is the signed root of the rise of the cost, -1 and 1 at the ends of the interval.
+    `root` is the signed square root of the cost increase; it is -1 and 1 at the interval's ends.
     """
 
     value: float
@@ -43,16 +43,16 @@ class ProfileResult:
     Attributes
     ----------
     label, value, cost
-        Of the unknown: its label, its estimate and the cost there.
+        Label of the unknown, its estimate, and the cost at the estimate.
     rise, confidence
-        Of the cost at the ends of the interval, and their confidence.
+        Increase of the cost at the ends of the interval, and the confidence of the interval.
     points
-        From low to high values, the optimum among them; `labels` are those of their estimates.
+        Points from low to high values, with the optimum; `labels` belong to their estimates.
     lower, upper
-        The ends of the interval, in physical units. Where there is none they are infinite, or NaN
-        if refits failed, and `open_lower` or `open_upper` says why: "bound" if the profile reaches
-        the unknown's bound first, "flat" if it never rises enough, "failed" if refits failed,
-        "unknown" if the residuals do not determine how far the cost may rise.
+        The ends of the interval, in physical units. A missing end is infinite, or NaN if refits
+        failed. `open_lower` or `open_upper` then says why: "bound" if the profile reaches the
+        unknown's bound first, "flat" if it never rises enough, "failed" if refits failed, "unknown"
+        if the residuals do not determine how far the cost may rise.
     better
         (estimates, cost) of a point that is better than the optimum; None without such a point.
     """
@@ -104,20 +104,20 @@ def _sentence(label: str, side: str, end: ProfileEnd, value: float) -> str:
 
 
 CLOSE_TO_INTERVAL_END = 1e-3
-"""Distance from the end, in units of the root, at which a point is close enough."""
+"""Largest distance of a point from the interval's end, in units of the root."""
 NARROW_BRACKET = 1e-6
-"""Part of the interval: a bracket so narrow is the end of a nearly vertical profile."""
+"""Relative width of a bracket that counts as the end of an almost vertical profile."""
 GROWTH = 3.0
 LONGEST_LOG = 2.3
-"""A logarithm changes by no more than a factor of ten at a time."""
+"""Largest step of a logarithm: a factor of ten."""
 
 
 @dataclass(frozen=True)
 class RefitPoint:
     """A point of a profile: the unknowns, the cost and its root.
 
-    The root is that of the cost's rise over the rise at the end of the interval: 0 at the optimum,
-    1 at the end, and linear in between where the model is linear.
+    The root is the square root of the cost increase over the increase at the interval's end. It is
+    0 at the optimum and 1 at the end. If the model is linear, it is linear in between.
     """
 
     x: FloatArray
@@ -127,16 +127,16 @@ class RefitPoint:
 
 @dataclass(frozen=True)
 class ProfileTarget:
-    """The side of a profile that is computed.
+    """The side of a profile to compute.
 
     Attributes
     ----------
     unknown
-        Position of the profiled unknown.
+        Index of the profiled unknown.
     direction
         1 for upwards, -1 for downwards.
     cost, rise
-        At the optimum, and by how much it must rise.
+        Cost at the optimum, and its increase at the interval's end.
     steps, max_steps
         See `UncertaintySettings`.
     """
@@ -149,7 +149,7 @@ class ProfileTarget:
     max_steps: int = 20
 
     def root(self, cost: float) -> float:
-        """Return the root of a cost."""
+        """Return the root (see `RefitPoint`) of a cost."""
         return float(np.sqrt(max(cost - self.cost, 0.0) / self.rise))
 
 
@@ -160,17 +160,17 @@ class ProfileSteps:
     Attributes
     ----------
     target, space
-        The profile and its space.
+        The side of the profile, and its search space.
     inside, outside
-        The points inside the interval, in order, and the nearest one outside.
+        The points inside the interval, in order, and the nearest point outside.
     points
-        All of them, in the order in which they were added.
+        All points, in the order in which they were added.
     length
-        Of the next step outwards.
+        Length of the next step outwards.
     factor
-        Part of a step that is taken after a failure.
+        Share of a step that is taken after a failure.
     bisect
-        True if the last step towards the end left more than half of the bracket.
+        Whether the last step towards the end reduced the bracket by less than half.
     """
 
     target: ProfileTarget
@@ -187,7 +187,7 @@ class ProfileSteps:
 
     @property
     def bracket(self) -> float:
-        """Distance between the last point inside and the first outside."""
+        """Distance between the last point inside and the first point outside."""
         i = self.target.unknown
         end = np.inf if self.outside is None else float(self.outside.x[i])
         return abs(end - float(self.inside[-1].x[i]))
@@ -207,7 +207,7 @@ class ProfileSteps:
         return float(np.clip(value, self.space.lower[i], self.space.upper[i]))
 
     def _interpolated(self, outside: RefitPoint, last: float) -> float | None:
-        """Return a value between the last point inside and the one outside."""
+        """Return a value between the last point inside and the point outside."""
         inside, part = self.inside[-1], 1.0 / self.target.steps
         end = float(outside.x[self.target.unknown])
         if (
@@ -227,7 +227,7 @@ class ProfileSteps:
         return float(np.clip(value, low, high))
 
     def predicted(self, value: float) -> FloatArray:
-        """Return a start for the refit: the line through the last two points, at a value."""
+        """Return start values for the refit at a value, by extrapolation of the last two points."""
         i, last = self.target.unknown, self.inside[-1]
         x = last.x.copy()
         if len(self.inside) > 1:
@@ -253,7 +253,7 @@ class ProfileSteps:
         self.bisect = self.bracket > 0.5 * bracket if may_bisect else False
 
     def _next_length(self, last: RefitPoint, point: RefitPoint) -> float:
-        """Return the step that the profile seems to need for the next part of its root."""
+        """Return the step that probably increases the root by the intended amount."""
         i = self.target.unknown
         width, rise = abs(float(point.x[i] - last.x[i])), point.root - last.root
         wanted = min(1.0 / self.target.steps, max(1.02 - point.root, CLOSE_TO_INTERVAL_END))
@@ -263,10 +263,10 @@ class ProfileSteps:
 
 
 def crossing(path: list[RefitPoint], i: int, root: float) -> float:
-    """Return where unknown i has a root, between the last two points of a path.
+    """Return the value of unknown i at a root, between the last two points of a path.
 
-    By inverse quadratic interpolation of the last three points where it is monotonic there, else
-    by linear interpolation.
+    Inverse quadratic interpolation of the last three points is used if it is monotonic there,
+    linear interpolation otherwise.
     """
     a, b = path[-2], path[-1]
     x_a, x_b = float(a.x[i]), float(b.x[i])

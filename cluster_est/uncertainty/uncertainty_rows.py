@@ -1,4 +1,4 @@
-"""Rows of the tables on uncertainty: flat, one dataclass a table."""
+"""Rows of the tables on uncertainty; each table has one dataclass."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from cluster_est.uncertainty.profile_points import ProfileResult
 
 @dataclass(frozen=True)
 class CorrelationRow:
-    """Of correlations.parquet: each pair once; of two local unknowns it is left out."""
+    """A row of correlations.parquet: a pair of unknowns of which at least one is shared.
+
+    Each pair has one row.
+    """
 
     label: str
     other: str
@@ -22,10 +25,10 @@ class CorrelationRow:
 
 @dataclass(frozen=True)
 class DirectionRow:
-    """Of directions.parquet: one unknown of a direction; `direction` tells those apart.
+    """A row of directions.parquet: one unknown of the direction with the number `direction`.
 
-    `weight` is how it moves in its own unit for each 1 that the direction's first moves,
-    `relative` the same as parts of the estimates.
+    `weight` is the change of the unknown, in its own unit, if the first unknown of the direction
+    changes by 1. `relative` is the same for changes relative to the estimates.
     """
 
     direction: int
@@ -40,9 +43,10 @@ class DirectionRow:
 
 @dataclass(frozen=True)
 class ProfileRow:
-    """Of profiles.parquet: one unknown at one point of a profile.
+    """A row of profiles.parquet: one unknown at one point of a profile.
 
-    Rows whose `unknown` is `label` are the profile itself; the others say where the refit went.
+    Rows whose `unknown` is `label` are the profile itself. The other rows contain the refitted
+    values of the other unknowns.
     """
 
     label: str
@@ -56,7 +60,7 @@ class ProfileRow:
 
 @dataclass(frozen=True)
 class BootstrapRow:
-    """Of bootstrap.parquet: one shared unknown in one draw."""
+    """A row of bootstrap.parquet: one shared unknown in one draw."""
 
     draw: int
     label: str
@@ -68,10 +72,10 @@ class BootstrapRow:
 
 @dataclass(frozen=True)
 class IntervalRow:
-    """Of intervals.parquet: an interval that took refits, or draws.
+    """A row of intervals.parquet: an interval from refits or draws.
 
-    `source` is "profile", "bootstrap", "bootstrap percentile", "bootstrap basic" or "posterior";
-    `open_lower` and `open_upper` say why a profile has no end there.
+    `source` is "profile", "bootstrap", "bootstrap percentile", "bootstrap basic" or "posterior".
+    `open_lower` and `open_upper` say why a profile has no lower or upper end.
     """
 
     label: str
@@ -85,7 +89,7 @@ class IntervalRow:
 
 
 def correlation_rows(found: Uncertainty) -> list[CorrelationRow]:
-    """Return the rows of the shared unknowns, then those of each local one with them."""
+    """Return the rows of shared unknowns, then those of local with shared unknowns."""
     rows = [
         CorrelationRow(label, other, float(found.correlations[i, j]))
         for i, label in enumerate(found.shared)
@@ -132,7 +136,7 @@ def interval_rows(
     bootstrap: BootstrapResult | None,
     posterior: PosteriorResult | None = None,
 ) -> list[IntervalRow]:
-    """Return all intervals that took refits or draws."""
+    """Return all intervals from refits or draws."""
     rows = [
         IntervalRow(
             p.label,

@@ -10,7 +10,7 @@ from cluster_est.settings import LARGEST_INTEGER, Count, Finite, Names, Positive
 
 
 def _named(given: Any) -> Any:
-    """All for true, none for false, a list of one for a name alone."""
+    """Return all names for true, none for false, and a list for a single name."""
     if isinstance(given, bool):
         return ("all",) if given else ()
     return (given,) if isinstance(given, str) else given
@@ -20,7 +20,7 @@ ProfiledNames = Annotated[Names, BeforeValidator(_named)]
 
 
 class UncertaintySettings(Settings):
-    """The intervals to compute by refits, besides those from derivatives, which cost nothing."""
+    """The intervals to compute by refits, in addition to those from derivatives."""
 
     section: ClassVar[str] = "uncertainty"
 
@@ -81,7 +81,7 @@ class UncertaintySettings(Settings):
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Which of them are asked for, by their keys."""
+        """The keys of the requested intervals."""
         every = {
             "profiles": bool(self.profiles),
             "bootstrap": self.bootstrap > 0,

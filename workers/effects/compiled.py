@@ -26,11 +26,11 @@ class InnerEffects:
     Attributes
     ----------
     parameters
-        FMU parameters that effects change, in the order of their arrays.
+        FMU parameters that effects change, in the order of the core's arrays.
     n_effect_states
-        Number of own states of the effects.
+        Number of internal states of all effects.
     program
-        Their byte code in the core.
+        The byte code of the effects, loaded into the core.
     """
 
     parameters: tuple[str, ...]
@@ -40,7 +40,7 @@ class InnerEffects:
 
 @dataclass(frozen=True)
 class CompiledEquations:
-    """Equations that `InnerEffects` is compiled from, and an exported FMU has as byte code.
+    """The equations of effects, from which the byte code of the core or of an exported FMU is made.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class CompiledEquations:
     add_derivatives: tuple[Assignment, ...]
 
     def code(self, n_states: int, n_inputs: int, n_coefficients: int) -> bytes:
-        """Return their byte code; the effects' own states come after those of the FMU."""
+        """Return the byte code; the effects' internal states follow the states of the FMU."""
         own, changed = len(self.start_states), len(self.parameters)
         return assemble(
             Registers(n_states + own, own, n_inputs, n_coefficients, changed, changed),
@@ -80,7 +80,8 @@ def compile_inner(
 ) -> InnerEffects:
     """Compile the effects at derivatives, inputs and parameters.
 
-    The first arguments are those of `equations`; `n_coefficients` are in a row of the task's.
+    The first four arguments are those of `equations`. `n_coefficients` is the number of
+    coefficients in a row of the task.
     """
     laid_out = equations(definitions, positions, states, inputs)
     code = laid_out.code(len(states), len(inputs), n_coefficients)
@@ -93,17 +94,17 @@ def equations(
     states: tuple[str, ...],
     inputs: tuple[str, ...],
 ) -> CompiledEquations:
-    """Lay the equations of effects at derivatives, inputs and parameters on arrays.
+    """Return the equations of effects at derivatives, inputs and parameters, with array positions.
 
     Parameters
     ----------
     definitions
         The effects, in the order in which they act.
     positions
-        Where the coefficients of each begin in the array of coefficients.
+        For each effect, the index of its first coefficient in the array of coefficients.
     states, inputs
-        The FMU's states, and the experiment's inputs with the signals that are used behind them,
-        in the order of their arrays.
+        The FMU's states; the experiment's inputs, followed by the measured signals that effects
+        use. Both are in the order of their arrays.
     """
     parameters = tuple(
         dict.fromkeys(d.site.target for d in definitions if d.site.kind == "parameter")
@@ -128,7 +129,7 @@ def _own_states(
     locations: Locations,
     substitutions: dict[sp.Symbol, sp.Expr],
 ) -> tuple[list[Assignment], list[Assignment]]:
-    """Return the start values and the derivatives of an effect's own states."""
+    """Return the initial values and the derivatives of an effect's internal states."""
     indices = [locations[symbol][1] for symbol in definition.states]
     starts = [
         Assignment(EffectArray.STATES, i, start.xreplace(substitutions))
@@ -165,7 +166,7 @@ def _locate_symbols(
 
 
 class _EffectChain:
-    """Expressions of each input and parameter of the FMU after the effects so far."""
+    """Expressions of the FMU's inputs and parameters after the effects that were applied so far."""
 
     def __init__(self, inputs: Sequence[str], parameters: Sequence[str]) -> None:
         self._input_names = tuple(inputs)
@@ -173,13 +174,16 @@ class _EffectChain:
         self.parameters: dict[str, sp.Expr] = {name: base_symbol(name) for name in parameters}
 
     def substitutions(self, definition: EffectDefinition) -> dict[sp.Symbol, sp.Expr]:
-        """Return the expressions of the symbols of an effect's equations at its site."""
+        """Return the expressions that replace signals in the equations of an effect."""
         if definition.site.at_rates:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
         return {SIGNAL_SYMBOL: self._of(definition)[definition.site.target]}
 
     def apply(self, definition: EffectDefinition, states: Sequence[str]) -> list[Assignment]:
-        """Apply an effect: to its signal for those that follow, or to derivatives, returned."""
+        """Apply an effect: return what it adds to derivatives, or change its signal.
+
+        The effects that follow act on the changed signal.
+        """
         substitutions = self.substitutions(definition)
         added = []
         for target, equation in definition.equations:
@@ -192,7 +196,7 @@ class _EffectChain:
         return added
 
     def assignments(self) -> tuple[Assignment, ...]:
-        """Assign the effective inputs and parameters."""
+        """Return the assignments of the effective inputs and parameters."""
         inputs = enumerate(self.inputs[name] for name in self._input_names)
         parameters = enumerate(self.parameters.values())
         return (
@@ -205,5 +209,5 @@ class _EffectChain:
 
 
 def base_symbol(name: str) -> sp.Symbol:
-    """Return the symbol of a parameter without its effects."""
+    """Return the symbol of a parameter's value without effects."""
     return sp.Symbol(f"base:{name}", real=True)

@@ -27,7 +27,7 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Effect, Experiment, FloatArray, Interface
 
 REMEMBERED_DEFINITIONS = 4096
-"""Definitions that are remembered: those of the same effects are asked for again and again."""
+"""Size of the cache of definitions; the same effects are resolved many times."""
 
 SIGNAL_SYMBOL = sp.Symbol("s", real=True)
 
@@ -43,15 +43,14 @@ class EffectDefinition:
 
     Attributes
     ----------
-    effect, site, form
-        The effect, where it acts, and its form.
     equations
-        (target, equation): what is added to the derivative of a state, or takes the place of the
-        signal `SIGNAL_SYMBOL` of that name. Two at a pair, else one.
+        Pairs (target, equation), two at a pair of states and otherwise one. At a state, the
+        equation is added to its derivative. At a signal, it replaces the signal, which the equation
+        calls `SIGNAL_SYMBOL`.
     coefficients
         Symbols, in the order of the form's coefficients.
     states
-        Symbols of its own states; `derivatives` and `starts` belong to them.
+        Symbols of the effect's internal states. `derivatives` and `starts` have the same order.
     uses
         FMU variables and measured signals that the equations depend on.
     """
@@ -69,36 +68,36 @@ class EffectDefinition:
     def fastest_rate(
         self, values: FloatArray, signals: Mapping[str, FloatArray] | None = None
     ) -> float:
-        """Return the rate of the fastest of its own states, 1 over a time constant.
+        """Return the rate of the fastest internal state: 1 over its time constant.
 
-        0 where it has none, or where the rates depend on more than the coefficients and, if these
-        are given, the variables in `signals`, of which it is the largest.
+        If rates depend on variables in `signals`, the largest rate over all their samples is used.
+        The result is 0 if there are no internal states, or if the rates depend on other variables.
         """
         given = signals or {}
         names = tuple(name for name in self.uses if name in given)
-        with np.errstate(all="ignore"):  # a simulation that failed left NaN
+        with np.errstate(all="ignore"):  # a failed simulation leaves NaN in the signals
             rates = _rates(self, names)(*values, *(given[name] for name in names))
         return max((0.0, *(float(np.max(np.abs(rate))) for rate in rates)))
 
     def decay_rate(self, values: FloatArray) -> float:
-        """Return the rate at which its one own state follows signals, if that is linear.
+        """Return the rate at which a single internal state follows signals linearly.
 
-        0 where it has no or more own states, or where they follow in another way.
+        0 if the number of internal states is not 1, or if the state's equation is not linear.
         """
         return float(_decay(self)(*values))
 
     def linear_rates(self, values: FloatArray) -> FloatArray:
-        """Return the matrix A of several own states with x' = A x + g(t), (states, states).
+        """Return the matrix A of several internal states with x' = A x + g(t): (states, states).
 
-        Empty where it has no or one own state, or where they follow signals in another way.
+        Empty if there are fewer than two internal states, or if their equations are not linear.
         """
         return np.array(_linear_rates(self)(*values), np.float64)
 
     def is_neutral(self, values: FloatArray) -> bool:
-        """Return whether it provably does nothing with these values of its coefficients.
+        """Return whether the effect certainly has no influence with these coefficients.
 
-        A user's equation must also become 0, or the signal itself, by algebra: what is declared
-        neutral there need not be, and may not be all that acts.
+        For a user's equation, algebra must also show that it becomes 0, or the unchanged signal.
+        The values that a user declares neutral may be wrong, or the equation may have other terms.
         """
         neutral_values = [c.neutral for c in self.form.coefficients]
         pairs = zip(neutral_values, values.tolist(), strict=True)
@@ -110,7 +109,7 @@ class EffectDefinition:
 
 @lru_cache(maxsize=512)
 def _vanishes(definition: EffectDefinition) -> bool:
-    """Return whether equations change nothing once the coefficients are neutral that can be."""
+    """Return whether the equations have no influence if all neutral values are inserted."""
     pairs = zip(definition.coefficients, definition.form.coefficients, strict=True)
     neutral = {symbol: c.neutral for symbol, c in pairs if c.neutral is not None}
     unchanged = sp.Integer(0) if definition.site.at_rates else SIGNAL_SYMBOL
@@ -119,7 +118,7 @@ def _vanishes(definition: EffectDefinition) -> bool:
 
 @lru_cache(maxsize=512)
 def _rates(definition: EffectDefinition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
-    """Return the rates of the own states as a function of coefficients and named variables."""
+    """Return `known_rates` as a function of the coefficients and the named variables."""
     symbols = (*definition.coefficients, *(variable_symbol(name) for name in names))
     rates = known_rates(definition, names)
     function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, rates, "numpy")
@@ -147,7 +146,10 @@ def _linear_rates(definition: EffectDefinition) -> Callable[..., list[list[float
 
 
 def known_decay(definition: EffectDefinition) -> sp.Expr:
-    """Return the rate a of one own state with x' = g(t) - a x, g linear in signals; 0 elsewhere."""
+    """Return the rate a of a single internal state with x' = g(t) - a x; 0 if there is none.
+
+    g must be linear in signals.
+    """
     if len(definition.states) != 1 or not _follows_linearly(definition):
         return sp.Integer(0)
     (derivative,), (state,) = definition.derivatives, definition.states
@@ -155,7 +157,7 @@ def known_decay(definition: EffectDefinition) -> sp.Expr:
 
 
 def _follows_linearly(definition: EffectDefinition) -> bool:
-    """Return whether the derivatives of all own states are linear in these and in signals."""
+    """Return whether the derivatives of all internal states are linear in states and signals."""
     constant = set(definition.coefficients)
     moving = [(d, d.free_symbols - constant) for d in definition.derivatives]
     return not any(TIME_SYMBOL in symbols for _, symbols in moving) and all(
@@ -166,10 +168,11 @@ def _follows_linearly(definition: EffectDefinition) -> bool:
 
 
 def known_rates(definition: EffectDefinition, names: tuple[str, ...]) -> list[sp.Expr]:
-    """Return the rates of own states that depend on coefficients and these variables alone.
+    """Return the rates of internal states that depend only on coefficients and these variables.
 
-    Of states that act on each other, none is faster than the largest of these: the sums of the rows
-    of their Jacobian (S. A. Gershgorin, Bull. Acad. Sci. URSS 6 (1931) 749-754).
+    The rate of a state is the sum of the absolute values in its row of the Jacobian. No eigenvalue
+    is larger than the largest of these sums (S. A. Gershgorin, Bull. Acad. Sci. URSS 6 (1931)
+    749-754).
     """
     symbols = {*definition.coefficients, *(variable_symbol(name) for name in names)}
     rates = []
@@ -186,19 +189,17 @@ def define(
     interface: Interface,
     signals: tuple[str, ...] = (),
 ) -> EffectDefinition:
-    """Resolve an effect.
+    """Return the equations of an effect on an FMU with a given interface.
 
     Parameters
     ----------
-    effect, description, interface
-        The effect, and the FMU and interface that it acts on.
     signals
-        Names of measured signals beside the FMU's inputs.
+        Names of measured signals that are not inputs of the FMU.
 
     Raises
     ------
     EffectError
-        If the site is closed, the form unknown, or the equation is none.
+        If the site is closed, the form is unknown, or the equation is invalid.
     """
     where = f"effect {effect.name!r}"
     site = parse_site(effect.site, f"{where}: site")
@@ -213,7 +214,7 @@ def define_all(
     interface: Interface,
     experiments: Iterable[Experiment],
 ) -> list[EffectDefinition]:
-    """Resolve effects that may depend on the measured signals of these experiments.
+    """Return the equations of effects that may depend on measured signals of these experiments.
 
     Raises
     ------
@@ -227,7 +228,7 @@ def define_all(
 
 @lru_cache(REMEMBERED_DEFINITIONS)
 def _definition(effect: Effect, site: EffectSite, allowed: tuple[str, ...]) -> EffectDefinition:
-    """Read the equations of an effect over the variables that they may depend on."""
+    """Parse the equations of an effect; `allowed` are the variables that they may contain."""
     variables = {name: variable_symbol(name) for name in allowed}
     where = f"effect {effect.name!r}"
     chosen = _chosen(effect, site, where)
@@ -262,7 +263,9 @@ def _definition(effect: Effect, site: EffectSite, allowed: tuple[str, ...]) -> E
 
 
 def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
-    """The coefficients of an effect, without an FMU; `positive` is what holds at its site.
+    """Return the coefficients of an effect; no FMU is needed.
+
+    `FormCoefficient.positive` of each coefficient is adapted to the effect's site.
 
     Raises
     ------
@@ -276,7 +279,7 @@ def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
 
 
 def form_of(effect: Effect, where: str) -> EffectForm:
-    """The form that an effect names, or that of its own equation, without an FMU.
+    """Return the form that an effect names, or a form for its own equation; no FMU is needed.
 
     Raises
     ------
@@ -287,7 +290,7 @@ def form_of(effect: Effect, where: str) -> EffectForm:
 
 
 def divisors(effect: Effect, where: str) -> tuple[str, ...]:
-    """The coefficients of a form that it divides by; none are known of an equation of one's own.
+    """Return the coefficients by which a form divides; () for a user's own equation.
 
     Raises
     ------
@@ -300,7 +303,7 @@ def divisors(effect: Effect, where: str) -> tuple[str, ...]:
 
 
 def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
-    """Return the form that an effect names, or that of its own equation."""
+    """Return the form that an effect names, or a form for its own equation."""
     if effect.reaction and (site.kind != "pair" or not effect.equation):
         raise EffectError(
             f"{where}: reaction: is only for an equation at a pair, but site is {effect.site!r} "
@@ -333,8 +336,8 @@ def _own_form(effect: Effect, site: EffectSite) -> EffectForm:
 def _variables(description: ModelDescription, site: EffectSite, interface: Interface) -> list[str]:
     """Return the variables that an equation at a site may depend on.
 
-    States are known in model exchange, or from the recorded outputs. In co-simulation the FMU shows
-    what it computes from one communication point to the next.
+    States are included in model exchange, and at outputs, whose records contain them. In
+    co-simulation, all variables are included that can be read at communication points.
     """
     names = [v.name for v in description.inputs()]
     if interface == "co_simulation" and site.kind != "output":
@@ -354,7 +357,7 @@ def _placeholders(
     variables: Mapping[str, sp.Symbol],
     where: str,
 ) -> dict[str, sp.Expr]:
-    """Return `v` and `w` of a form, or every variable by its name for a user's equation."""
+    """Return the expressions of a form's `v` and `w`; all variables for a user's equation."""
     if effect.equation:
         return dict(variables)
     given = effect.variables or unnamed_variables(chosen, site)
@@ -369,10 +372,10 @@ def _placeholders(
 
 
 def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
-    """Return the expression of a variable, or of the difference of two."""
+    """Return the expression of a variable or of a difference of two variables."""
     names = split_variable(text, variables)
     if not names:
-        parse(text, variables, where)  # says which name is unknown
+        parse(text, variables, where)  # its error message says which name is unknown
         raise EffectError(
             f"{where}: must be a name or the difference of two names, but is {text!r}"
         )
@@ -389,11 +392,11 @@ def coefficient_units(
 ) -> tuple[str, ...]:
     """Return the unit of each coefficient of an effect, such as "N/(m/s)^2".
 
-    A form says them in these words: `site` is what its equation gives (at the derivative of a state
-    the state's unit over a second, elsewhere that of the signal, which `s` means too), `other` the
-    same at the second derivative of a pair, `v` and `w` its variables, `travel` the integral of
-    `v` over time, `second` a second. "?" stands for what the FMU does not name; coefficients of an
-    equation of the user's own have no unit here.
+    A form's units consist of these words: `site` is the unit of the added term (at a derivative,
+    the state's unit over a second; elsewhere, the unit of the signal, like `s`). `other` is the
+    same for the second derivative of a pair. `v` and `w` are the units of the variables, `travel`
+    that of the integral of `v` over time, and `second` is a second. "?" replaces a unit that the
+    FMU does not declare. Coefficients of a user's own equation have no unit.
     """
     units = _units(definition, description)
     return tuple(_fill(c.unit, units) for c in definition.form.coefficients)
@@ -417,7 +420,7 @@ def _units(definition: EffectDefinition, description: ModelDescription) -> dict[
 
 
 def _per_second(unit: str) -> str:
-    """A unit over a second, so that "m/s" becomes "m/s^2"."""
+    """Return a unit divided by a second: "m/s" becomes "m/s^2"."""
     found = re.fullmatch(r"(.+)/s(?:\^?(\d))?", unit)
     return f"{found[1]}/s^{int(found[2] or 1) + 1}" if found else f"{unit}/s"
 
@@ -427,7 +430,7 @@ def _times_second(unit: str) -> str:
 
 
 def _fill(template: str, units: Mapping[str, str]) -> str:
-    """Put units in the place of a template's words; what is divided by is put in brackets."""
+    """Replace a template's words by units, with a composed denominator in brackets."""
     over, _, under = template.partition(" / ")
     top = _WORD.sub(lambda m: _powered(m, units, alone=not m[2]), over)
     bottom = _WORD.sub(lambda m: _powered(m, units, alone=False), under)
@@ -440,7 +443,7 @@ def _fill(template: str, units: Mapping[str, str]) -> str:
 
 
 def _powered(found: re.Match[str], units: Mapping[str, str], *, alone: bool) -> str:
-    """A unit to a power, in brackets where it is made of several."""
+    """Return a unit to a power, with a composed unit in brackets."""
     unit, power = units[found[1]], found[2] or ""
     if unit == "1":
         return "1"

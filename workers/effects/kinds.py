@@ -13,9 +13,10 @@ SiteKind = Literal["derivative", "pair", "input", "output", "parameter"]
 
 
 class GridScale(enum.Enum):
-    """The unit of the entries of a coefficient's grid, on the data at hand.
+    """The unit of the entries of a coefficient's grid, computed from the data.
 
-    v is the form's variable, or the signal at the site where it has none; s is that signal.
+    v is the form's variable. If the form has no variable, v is the signal at the site. s is always
+    the signal at the site. w is the form's second variable.
     """
 
     RMS_V = "rms v"
@@ -25,13 +26,13 @@ class GridScale(enum.Enum):
     MEAN_ABSOLUTE_V = "mean |v|"
     MEAN_SQUARE_V = "mean v^2"
     TRAVEL_V = "travel v"
-    """Root mean square of the integral of v about its mean."""
+    """Root mean square of the integral of v, after its mean is subtracted."""
     WAVES_V = "waves v"
-    """Entries are how often a wave repeats within the range of v; small whole numbers are tried too
-    where v is an angle of several turns."""
+    """Entries are numbers of periods within the range of v. If v is an angle of several turns,
+    small whole wave numbers are tried too."""
     WAVES_TRAVEL_V = "waves travel v"
-    """Entries are how often a wave repeats within the range of the integral of v from the start of
-    each experiment."""
+    """Entries are numbers of periods within the range of the integral of v from the start of each
+    experiment."""
     QUANTILE_V = "quantile v"
     """Entries are quantiles of v."""
     LOW_V = "low v"
@@ -39,85 +40,89 @@ class GridScale(enum.Enum):
     HIGH_V = "high v"
     """99 % quantile."""
     LOW_W = "low w"
-    """1 % quantile of the form's second variable."""
+    """1 % quantile of w."""
     HIGH_W = "high w"
-    """99 % quantile of it."""
+    """99 % quantile of w."""
     MAX_W = "max w"
-    """Largest absolute value of it."""
+    """Largest absolute value of w."""
     COUPLING = "coupling"
-    """How much more than on the first state of a pair what is between the two acts on the second:
-    by the derivatives of their rates by each other, 1 where these say nothing."""
+    """Ratio of the actions of a pair's two states on each other: the largest derivative of the
+    second state's rate by the first state, over the reverse; 1 if one of the two is 0."""
     MAX_S = "max s"
     """Largest absolute value."""
     FASTEST_S = "fastest s"
-    """Largest rate of change; a jump counts as one from one sample to the next."""
+    """Largest rate of change; a jump counts as a change within one sampling interval."""
     RANGE_S = "range s"
-    """Entries are parts of the way from min s to max s."""
+    """Entries are positions between min s (0) and max s (1)."""
     STEP = "step"
     """The sampling interval."""
     PER_STEP = "1 / step"
-    """Multiples of 1 over the sampling interval."""
+    """Entries are multiples of 1 over the sampling interval."""
     MIDDLE_T = "middle t"
     """The middle of the experiment."""
     ABSOLUTE_ZERO = "absolute zero"
-    """How far the zero of v's unit lies above absolute zero; for temperatures in K or degC."""
+    """Distance of the zero of v's unit from absolute zero; for temperatures in K or degC."""
     EXPONENT = "exponent"
-    """Entries are exponents of a power law, whatever the data are."""
+    """Entries are exponents of a power law, independent of the data."""
     NUMBER = "number"
-    """Entries are the values themselves, of a coefficient without a unit."""
+    """Entries are the values themselves; the coefficient has no unit."""
     SHARE = "share"
-    """The same, of shares: between 0 and 1."""
+    """Entries are shares between 0 and 1."""
     KELVIN = "kelvin"
     """Entries are in kelvin."""
     DAMPING = "damping"
-    """Entries are ratios of damping of what swings: below 1."""
+    """Entries are damping ratios of an oscillation; they are below 1."""
     SPECTRUM = "spectrum"
-    """Angular frequency of a peak in the residual's spectrum."""
+    """Angular frequencies of the peaks in the residual's spectrum."""
 
 
 class FormCondition(enum.Enum):
-    """A condition on the data, or on a form's variable, under which a search tries the form."""
+    """A condition on the data, or on a form's variable, under which a search tries the form.
+
+    For a form with two variables, "the variable" means the first one.
+    """
 
     OSCILLATES = "oscillates"
-    """Its variable, or the signal where it has none, clearly takes both signs."""
+    """The variable, or without one the signal at the site, clearly takes both signs."""
     POSITIVE = "positive"
-    """Its variable, or the signal where it has none, is never negative."""
+    """The variable, or without one the signal at the site, is never negative."""
     AMOUNT = "amount"
-    """Its variable, or the signal where it has none, is never negative, and no temperature: where
-    it is zero there is nothing."""
+    """The variable, or without one the signal at the site, is never negative and is not a
+    temperature, so zero means that nothing is there."""
     OWN = "own"
-    """Its variable, the first where it has two, is the state at whose derivative it acts, at an
-    input one that this acts on."""
+    """The variable is the state at whose derivative the effect acts. For an effect at an input, it
+    is a state whose derivative depends on this input."""
     DIFFERENCE = "difference"
-    """Its variable is a difference of two signals."""
+    """The variable is a difference of two signals."""
     OTHER = "other"
-    """Its variable, the first where it has two, is no state that it pushes."""
+    """The variable is not a state on whose derivative the effect acts."""
     FIRST = "first"
-    """Its variable is the first state of the pair."""
+    """The variable is the first state of the pair."""
     FORCE = "force"
-    """It acts at an input that acts on the derivatives of several states; its variable is a state.
+    """The variable is a state, and the effect's input acts on the derivatives of several states.
 
-    Where an input acts on one derivative alone, the same form at that derivative says the same. In
-    co-simulation, where derivatives are closed, its variable is what the FMU shows.
+    If an input acts on only one derivative, the same form at that derivative is equivalent. In
+    co-simulation, derivatives are not accessible, and the variable is an output of the FMU.
     """
     POSITION = "position"
-    """Its variable is the integral, but for a factor, of a state that the effect pushes."""
+    """The variable is, except for a factor, the integral of a state on which the effect acts."""
     NO_POSITION = "no position"
-    """Its variable is the derivative of no state, and a rate where its unit is known."""
+    """The variable is not the derivative of a state. If its unit is known, it is a rate."""
     AROUND = "around"
-    """Its two variables are the state at whose derivative it acts and an input of its unit that
-    acts on it, such as an ambient temperature; at a pair, its two states if they have one unit."""
+    """The variables are the state at whose derivative the effect acts, and an input of the same
+    unit that acts on this state, such as an ambient temperature. At a pair, they are the pair's two
+    states, if these have the same unit."""
     EXCHANGE = "exchange"
-    """Its first variable is the difference of a pair's two states, of one unit."""
+    """The first variable is the difference of the pair's two states, which have the same unit."""
     FROM_REST = "from rest"
-    """The signal at its site is not zero at the start of every experiment: it may have begun then,
-    or have been there before."""
+    """In some experiment, the signal at the site is not zero at the start. It may have jumped to
+    this value at the start, or it may have had this value before."""
     STATE = "state"
-    """Its variable is a state, and no difference."""
+    """The variable is a state and not a difference."""
     DRIVEN = "driven"
-    """Its variable is an input or a measured signal."""
+    """The variable is an input or a measured signal."""
     FEEDS = "feeds"
-    """Its variables are inputs that act on the output at once, and not by way of states."""
+    """The variables are inputs that act on the output directly and not through states."""
 
 
 FREE_FAMILY = "table"
@@ -125,9 +130,9 @@ FREE_FAMILY = "table"
 DYNAMICS_FAMILY = "hidden dynamics"
 """The family of free filters."""
 FREE_FAMILIES = (FREE_FAMILY, DYNAMICS_FAMILY)
-"""Families of what is a place and no law."""
+"""Families of forms that show where an effect acts, but not which law it follows."""
 NOISE_FAMILY = "process noise"
-"""The family of noise that acts on states."""
+"""The family of random noise that acts on states."""
 
 
 @dataclass(frozen=True)
@@ -139,24 +144,25 @@ class FormCoefficient:
     name
         As in the equation.
     neutral
-        The value at which the effect does nothing, whatever the shape parameters are. None for a
-        shape parameter: a threshold, a width, a frequency.
+        The value at which the effect has no influence, whatever the shape parameters are. None for
+        a shape parameter, such as a threshold, a width or a frequency.
     positive
-        Physics wants it positive.
+        The coefficient is positive for physical reasons.
     if_own
-        That it must be positive holds only where the form's variable is the state at whose
-        derivative it acts: a drag on oneself takes energy out, one by another may push. At an
-        input, where its variable is a state that the input pushes the same way.
+        `positive` applies only if the form's variable is the state at whose derivative the effect
+        acts. A drag by the state's own velocity takes energy out; a drag by another velocity may
+        add energy. At an input, the variable must be a state on which the input always acts with
+        the same sign.
     scale
         The unit of the entries of `grid`; None for a strength, which needs no grid.
     grid
-        Multiples of that scale that a search tries.
+        Multiples of `scale` that a search tries.
     held
-        It stays at its value of the grid when the effect is fitted.
+        A fit of the effect does not change the coefficient: it keeps its value from the grid.
     each
-        It has a value of its own in each experiment: what was there when that began.
+        Each experiment has its own value, such as the content of a store at the start.
     unit
-        In the words that `workers.effects.definition` knows, such as "site / v^2".
+        Unit in the words of `workers.effects.definition.coefficient_units`, such as "site / v^2".
     """
 
     name: str
@@ -172,7 +178,7 @@ class FormCoefficient:
 
 @dataclass(frozen=True)
 class OwnState:
-    """A state that a form brings along: its derivative and its value at the start."""
+    """An internal state of a form, with its derivative and its initial value."""
 
     name: str
     derivative: str
@@ -186,42 +192,41 @@ class EffectForm:
     Attributes
     ----------
     name, family
-        "coulomb", "friction".
+        For example "coulomb" and "friction".
     law
-        How it depends on its variable: from this, with the units of the site, it has its name.
+        How the effect depends on its variables. The law and the units of the site give the effect
+        its physical name.
     kinds
-        Sites at which it makes sense.
+        Kinds of sites at which the form makes sense.
     equation
         See `workers.effects.forms`.
-    coefficients
-        Its own parameters.
     variables
-        Number of variables that it is a function of: 0, 1 or 2.
+        Number of arguments: 0, 1 or 2.
     states
-        Its own states.
+        Internal states.
     reaction
-        At a pair of derivatives: what is added to the second.
+        At a pair of derivatives: the term that is added to the second derivative.
     memory
-        Name of what it does to the signal as a whole, see `workers.effects.signal_memory`, with its
-        first coefficient; the equation then is "s".
+        Name of a function in `workers.effects.signal_memory` that changes the signal as a whole,
+        with the first coefficient; "" for none. The equation is then "s".
     when
-        Conditions under which a search should try it; all must hold.
+        Conditions under which a search tries the form; all must hold.
     order
-        The form of lower order is taken where the data do not tell two apart.
+        If the data cannot distinguish two forms, the form of lower order is chosen.
     differences
-        At a derivative its variable may also be the difference of two states of one unit; others
-        are looked for at pairs.
+        At a derivative, the variable may also be a difference of two states of the same unit. For
+        other forms, such differences are tried only at pairs.
     later
-        A search looks at it only where another function of its argument leads, from which it
-        differs little: it counts as looked at there alone.
+        A search tries the form only where another function of the same argument is among the best.
+        The form differs little from that function, so it counts as a candidate only there.
     values
-        Of a free curve: the number of points that it is made of.
+        Number of points of a free curve; 0 for other forms.
     finer_than
-        Name of the curve with half as many steps, or of the filter of the next lower order: a
-        search looks at this one only where that leads.
+        Name of the curve with half as many steps, or of the filter of the next lower order. A
+        search tries the finer form only where that coarser form is among the best.
     twins
-        Pairs of coefficients that may change places, all at once, and it does the same. Of the
-        first pair the first is the smaller one.
+        Pairs of coefficients. If the coefficients of all pairs are exchanged, the effect is the
+        same. In the first pair, the first coefficient is the smaller one.
     """
 
     name: str
@@ -243,25 +248,25 @@ class EffectForm:
     twins: tuple[tuple[str, str], ...] = ()
 
     def divides_by(self, coefficient: str) -> bool:
-        """Return whether an equation of it has a coefficient alone as a divisor: 0 is no value."""
+        """Return whether an equation divides by a coefficient, so that it cannot be 0."""
         texts = [self.equation, self.reaction, *(state.derivative for state in self.states)]
         return any(re.search(rf"/ *{coefficient}\b", text) for text in texts)
 
     @property
     def free(self) -> bool:
-        """It is a free curve or a free filter: it fits anything, and explains nothing."""
+        """Whether the form is a free curve or filter, which fits any law but does not name it."""
         return self.family in FREE_FAMILIES
 
     @property
     def is_dynamics(self) -> bool:
-        """It is a free filter of its argument, with hidden states and no known form."""
+        """Whether the form is a free filter of its argument, with hidden states."""
         return self.family == DYNAMICS_FAMILY
 
     @property
     def curve_values(self) -> tuple[str | None, ...]:
-        """The coefficients that are the values of a free curve, at equal steps from low to high.
+        """The coefficients of a free curve's values at equidistant points, from low to high.
 
-        None where it is 0 by definition.
+        None for a point at which the curve is 0 by definition.
         """
         own = {c.name for c in self.coefficients}
         names = [f"k{i}" for i in range(1, self.values + 1)]
@@ -269,30 +274,30 @@ class EffectForm:
 
     @property
     def is_characteristic(self) -> bool:
-        """It is a free curve of the very signal that it is added to."""
+        """Whether the form is a free curve of the same signal that it changes."""
         return self.values > 0 and not self.variables
 
     @property
     def is_noise(self) -> bool:
-        """It is noise that acts on a state, with its first coefficient as its strength."""
+        """Whether the form is noise on a state; its first coefficient is then the strength."""
         return self.family == NOISE_FAMILY
 
     @property
     def of_time_alone(self) -> bool:
-        """It is a function of nothing but time: a drift, a wave, what decays from the start."""
+        """Whether the form depends only on time: a drift, a wave, a decay from the start."""
         texts = [self.equation, *(z.derivative for z in self.states)]
         signals = self.variables or self.memory or any(re.search(r"\bs\b", t) for t in texts[1:])
         return not signals and (bool(self.states) or re.search(r"\bt\b", texts[0]) is not None)
 
 
 def positive(coefficient: FormCoefficient, *, own: bool) -> bool:
-    """Return whether physics wants a coefficient positive.
+    """Return whether a coefficient is positive for physical reasons.
 
     Parameters
     ----------
     coefficient
-        Of a form.
+        A coefficient of a form.
     own
-        The form's variable is the state at whose derivative the effect acts.
+        Whether the form's variable is the state at whose derivative the effect acts.
     """
     return coefficient.positive and (own or not coefficient.if_own)

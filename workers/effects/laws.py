@@ -6,11 +6,11 @@ import enum
 
 
 class Law(enum.Enum):
-    """The law of a form. A member's text is its name if the units determine no name from physics.
+    """The law of a form. Its text names the effect if the units give no physical name.
 
     {v} and {w} are the form's variables, and {s} is the signal at the site. At a parameter, the law
-    is that of its relative change (the text then says "a variation"), or of the parameter's divisor
-    for an inverse.
+    describes the relative change of the parameter (the text then says "a variation"). For an
+    inverse, it describes the divisor of the parameter.
     """
 
     CONSTANT = "a constant term"
@@ -70,9 +70,9 @@ class Law(enum.Enum):
     DYNAMICS = "hidden dynamics from {v}"
     EXCHANGE = "hidden dynamics of what {v} exchanges"
     OTHER = "a term in {v}"
-    """Of an equation that a user wrote, or of process noise; a search tries neither."""
+    """The law of a user's equation and of process noise; a search tries neither."""
 
-    # what an input or an output does to its own signal
+    # changes of an input or output signal
     OFFSET = "an offset"
     GAIN = "a different gain"
     GAIN_OF_MAGNITUDE = "a part proportional to the magnitude"

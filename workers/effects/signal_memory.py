@@ -1,4 +1,4 @@
-"""Forms with memory, such as delays: they change a signal as a whole, from its past values.
+"""Forms with memory, such as delays: their result depends on past values of a signal.
 
 At an input, they change its samples before the simulation, and before the effects that act during
 the simulation. At an output, they change the recorded values. Each form is a function of a signal
@@ -18,7 +18,7 @@ from workers.messages import FloatArray, Interpolation
 
 
 class SampledSignal(NamedTuple):
-    """Samples of a signal, which keeps its first value before and its last value after them."""
+    """Samples of a signal, which is constant before the first and after the last sample."""
 
     times: FloatArray
     values: FloatArray
@@ -26,43 +26,43 @@ class SampledSignal(NamedTuple):
 
 
 def delay(signal: SampledSignal, seconds: float) -> SampledSignal:
-    """Return the signal as it was some seconds ago; before its start it was as at its start.
+    """Return the signal of some seconds ago; before its first sample, the signal is constant.
 
-    Of samples so close that they fall on one time when it is moved, as behind a backlash, the last
-    one is kept.
+    Samples that are very close, as after a backlash, may get the same time by rounding when they
+    are shifted. Then only the last of them is kept.
     """
     times, values = _changed("core_delay", signal, seconds)
     return SampledSignal(times, values, signal.interpolation)
 
 
 def backlash(signal: SampledSignal, half_width: float) -> SampledSignal:
-    """Return the signal behind a play, which it has to cross whenever it turns.
+    """Return the signal after a backlash, which must be crossed at each change of direction.
 
-    The play operator: out = clip(out before, s - k, s + k), starting at s. It is exact for signals
-    that are linear between their samples: there is a further sample wherever the play is crossed,
-    before which nothing has moved yet.
+    This is the play operator: out = clip(out before, s - k, s + k), starting at s. The result is
+    exact for signals that are linear between their samples: where the backlash has been crossed and
+    the output starts to move, a sample is inserted.
     """
     times, values = _changed("core_backlash", signal, half_width)
     return SampledSignal(times, values, signal.interpolation)
 
 
 def rate_limit(signal: SampledSignal, fastest: float) -> SampledSignal:
-    """Return the signal of an actuator that follows it, but never changes faster than a rate.
+    """Return the output of an actuator that follows the signal with a limited rate of change.
 
-    out' = clip(s', -r, r) where out = s, else r sign(s - out), starting at s. It is exact: there is
-    a further sample wherever the signal is caught up with. What follows a signal that is held is
-    linear between its samples.
+    out' = clip(s', -r, r) where out = s, and r sign(s - out) elsewhere, starting at s. The result
+    is exact: a sample is inserted where the output reaches the signal. The output is linear between
+    its samples, even if the signal is a zero-order hold.
     """
     return _followed(signal, fastest, float(signal.values[0]))
 
 
 def rate_limit_from_rest(signal: SampledSignal, fastest: float) -> SampledSignal:
-    """Return the same of an actuator that stands at zero at the start."""
+    """Return the output of such an actuator that starts at zero; see `rate_limit`."""
     return _followed(signal, fastest, 0.0)
 
 
 def _followed(signal: SampledSignal, fastest: float, start: float) -> SampledSignal:
-    """Follow a signal at a limited rate, from a value on."""
+    """Return the output of `rate_limit` with a given start value."""
     if not math.isfinite(fastest):
         return signal
     held = signal.interpolation == "hold"
@@ -70,7 +70,7 @@ def _followed(signal: SampledSignal, fastest: float, start: float) -> SampledSig
 
 
 def _changed(function: str, signal: SampledSignal, *how: float) -> tuple[FloatArray, FloatArray]:
-    """Call a function of the core, and return the times and values that it has written."""
+    """Call a function of the core, and return the times and values of the new signal."""
     given = [np.ascontiguousarray(each, np.float64) for each in (signal.times, signal.values)]
     made = np.zeros((2, 2 * len(signal.times) + 1))
     from_, to = ([each.ctypes.data for each in arrays] for arrays in (given, made))
@@ -84,4 +84,4 @@ MEMORIES: dict[str, Callable[[SampledSignal, float], SampledSignal]] = {
     "rate_limit": rate_limit,
     "rate_limit_from_rest": rate_limit_from_rest,
 }
-"""The functions with a memory, by the name that a form calls them, in the order of `table.h`."""
+"""The functions with memory by their names in `EffectForm.memory`, in the order of `table.h`."""

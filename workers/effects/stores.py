@@ -1,27 +1,30 @@
 """Forms with states that the model does not have: hidden stores and hidden oscillators.
 
-The wall of a room, a tissue, a gut, a second mode of vibration: each is an internal state of the
-form. A hidden store acts on its argument v as a first-order system with a time constant tau:
+Examples are the wall of a room, a tissue, a gut, or a second mode of vibration. Each is an internal
+state of the form. A hidden store follows its argument v as a first-order system with time constant
+tau:
 
     der(x) += -k (v - z),    z' = (v - z) / tau
 
-If the store exchanges with the state itself (v is x), k is positive: a heat capacity kC behind a
-conductance, or a second compartment with the rate constants k to it and 1 / tau back. Two stores in
-series are equivalent to two parallel ones with other coefficients, as all networks of resistors and
-capacitors are (R. M. Foster, Bell Syst. Tech. J. 3 (1924) 259-267,
+If the store exchanges with the state itself (v is x), k is positive. Such a store is a heat
+capacity behind a conductance, or a second compartment with rate constants k (to it) and 1 / tau
+(back). Two stores in series are equivalent to two parallel stores with other coefficients, like all
+networks of resistors and capacitors (R. M. Foster, Bell Syst. Tech. J. 3 (1924) 259-267,
 doi:10.1002/j.1538-7305.1924.tb01358.x). So there is no form for stores in series. If v is another
 state, k (v - z) is a delayed transfer from it, or a spring and a damper in series. A store between
 two states depends on both: a wall between two rooms follows their weighted mean, and the weight of
-the first room is the share of its conductance.
+the first room is its share of the total conductance.
 
 The initial state of a store may be known: z = v if it is full, z = 0 if it is empty. An unknown
-initial state adds a term that decays whatever the signals are. So z starts at 0, and a e is added,
-with e' = -e / tau and e = 1 at the start. Then the initial state is a / k, and the equation is
-linear in a and k. Each experiment has its own a: nobody has measured the temperature of the wall.
+initial state adds a term that decays independently of the signals. So z starts at 0, and a e is
+added, with e' = -e / tau and e = 1 at the start. Then the initial state is a / k, and the equation
+is linear in a and k. Each experiment has its own a, because the temperature of the wall, for
+example, is not measured.
 
-Other dynamics are found as a free filter: n equal lags in series, with a free strength on each.
-Their impulse responses span the same space as Laguerre functions, which is dense in all decaying
-responses (B. Wahlberg, IEEE Trans. Automatic Control 36 (1991) 551-562, doi:10.1109/9.76361).
+Other dynamics are approximated by a free filter: n equal lags in series, each with its own
+strength. Their impulse responses span the same space as the Laguerre functions. With increasing n,
+these approximate every decaying response (B. Wahlberg, IEEE Trans. Automatic Control 36 (1991)
+551-562, doi:10.1109/9.76361).
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ def _time(name: str, *steps: float) -> FormCoefficient:
 
 _EXCHANGE = FormCoefficient("k", positive=True, unit="site / v")
 _FIRST = FormCoefficient("a", each=True, unit="site")
-"""What is added at the start."""
+"""The contribution of the initial state, which decays."""
 _TAU = _time("tau", 3.0, 15.0, 75.0)
 _STORE = OwnState("z", "(v - z) / tau", "v")
 _EMPTY = OwnState("z", "(v - z) / tau", "0")
@@ -66,7 +69,7 @@ _TWO = (
 _DECAY = OwnState("e", "-e / tau", "1")
 _TWINS = (("tau", "tau_slow"), ("k", "k_slow"))
 _FREE = tuple(replace(c, positive=c.scale is not None) for c in _TWO)
-"""Of what is not drawn from the state itself: it may push either way."""
+"""Coefficients if v is not the state itself: the strengths may then have either sign."""
 
 _RESONANCE = (
     FormCoefficient("f", None, positive=True, scale=GridScale.SPECTRUM, grid=(1.0,),
@@ -74,16 +77,17 @@ _RESONANCE = (
     FormCoefficient("d", None, positive=True, scale=GridScale.DAMPING, grid=(0.03, 0.2),
                     unit="1"),
 )  # fmt: skip
-"""Of an oscillator that the residual shows: it rings where its spectrum has a peak."""
+"""Frequency and damping of an oscillator; the frequency is that of a peak in the residual's
+spectrum."""
 _SWING = OwnState("y", "f * (v - z) - 2 * d * f * y", "0")
 _PARTS = (
     FormCoefficient("a", unit="site / v"), FormCoefficient("b", unit="site / v"), *_RESONANCE,
 )  # fmt: skip
-"""What its way does and what its speed does."""
+"""Strengths of the oscillator's position (a) and velocity (b), and the oscillator itself."""
 
 _OWN = (FormCondition.OWN,)
 _FILLED = (FormCondition.AMOUNT, FormCondition.FROM_REST)
-"""Of a store that is empty at the start, where the state is not."""
+"""Conditions of a store that is empty at the start although the state is not."""
 
 _AT_STATES = (
     EffectForm("store", "store", Law.STORE, _DER, "-k * (v - z)", (_EXCHANGE, _TAU), 1, (_STORE,),
@@ -99,22 +103,22 @@ _AT_STATES = (
     EffectForm("two_stores_from_zero", "store", Law.TWO_STORES_FROM_ZERO, _DER,
          "-k * (v - z) - k_slow * (v - y)", _TWO, 1, (_EMPTY, replace(_SLOW, start="0")),
          when=(*_OWN, *_FILLED), order=0.55, twins=_TWINS),
-    # a gut, a tank that runs out: full at the start, and nothing comes after
+    # a gut or a tank that empties: it is full at the start and is not refilled
     EffectForm("emptying", "store", Law.DECAY, _DER, "a * e", (_FIRST, _TAU), 0, (_DECAY,),
          order=0.4),
-    # what lies between another signal and the state, if one lag is not enough
+    # a path from another signal to the state for which one lag is not enough
     EffectForm("two_lags", "store", Law.TWO_LAGS, _DER, "k * z + k_slow * y", _FREE, 1,
          (_STORE, _SLOW), when=(FormCondition.OTHER,), order=0.9, later=True, twins=_TWINS),
-    # a mast that swings by a motor's torque and pulls at the body
+    # a flexible mast that a motor's torque excites and that pulls at the body
     EffectForm("driven_mode", "store", Law.RESONANCE, _DER, "a * z + b * y",
          _PARTS, 1, (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,),
          order=0.8),
-    # a mass on a spring that hangs on a body: y is its speed, k / f its mass over the body's
+    # a mass on a spring at a body: y is its velocity, k / f its mass over the mass of the body
     EffectForm("oscillator", "store", Law.ATTACHED_OSCILLATOR, _DER,
          "-k * (z + 2 * d * (v - y))", (_EXCHANGE, *_RESONANCE), 1,
          (OwnState("z", "f * (v - y)", "0"), OwnState("y", "f * z + 2 * d * f * (v - y)", "v")),
          when=(FormCondition.OWN, FormCondition.OSCILLATES), order=0.6),
-    # a wall between two rooms; it begins like one of them, or half way
+    # a wall between two rooms; it starts at the temperature of either room, or half-way
     EffectForm("store_between", "store", Law.STORE_BETWEEN, _PAIR, "-k * (v - z)",
          (_EXCHANGE, replace(_EXCHANGE, name="back", unit="other / v"),
           _time("tau", 3.0, 15.0, 75.0),
@@ -125,7 +129,7 @@ _AT_STATES = (
          2, (OwnState("z", "(share * v + (1 - share) * w - z) / tau",
                       "begin * v + (1 - begin) * w"),),
          "back * (z - w)", when=(FormCondition.AROUND,), order=0.5),
-    # a joint that creeps
+    # a joint with creep
     EffectForm("store", "store", Law.STORE, _PAIR, "-k * (v - z)",
          (FormCoefficient("k", positive=True, unit="site / v"),
           FormCoefficient("back", positive=True, unit="other / v"), _TAU), 1, (_STORE,),
@@ -139,19 +143,19 @@ _AT_SIGNALS = (
     EffectForm("lead", "lag", Law.LEAD, _SIGNAL, "s + k * (s - z)",
          (FormCoefficient("k", unit="1"), _TAU), 0, (OwnState("z", "(s - z) / tau", "s"),),
          order=0.6),
-    # a mode of vibration beside those of the model
+    # a mode of vibration that the model does not have
     EffectForm("mode_feed_through", "store", Law.RESONANCE, _OUT, "s + a * z + b * y", _PARTS, 1,
          (OwnState("z", "f * y", "0"), _SWING), when=(FormCondition.DRIVEN,), order=0.6),
 )  # fmt: skip
 
 _ORDERS = (3, 5)
-"""Of free filters, the coarse one first."""
+"""Orders of the free filters, the coarse one first."""
 
 
 def _filters(
     name: str, law: Law, kinds: tuple[SiteKind, ...], term: str, *when: FormCondition
 ) -> list[EffectForm]:
-    """Free filters of each order; the equation is the sum of k times a term of each state."""
+    """Return free filters of each order; their equation is the sum of k_i times a term in z_i."""
     signal = kinds == _SIGNAL
     of = "s" if signal else "v"
     names = (name, *(f"{name}_{order}" for order in _ORDERS[1:]))
@@ -176,7 +180,7 @@ def _filters(
 _BEGIN = FormCoefficient(
     "begin", None, positive=True, scale=GridScale.SHARE, grid=(1.0, 0.0), held=True, unit="1"
 )
-"""Whether a filter begins settled or empty."""
+"""Initial state of a free filter: steady state (1) or empty (0)."""
 
 _FREE_FILTERS = (
     *_filters("hidden_dynamics", Law.DYNAMICS, _DER, "{z}", FormCondition.OTHER),

@@ -101,18 +101,18 @@ class SelectionRound:
     Attributes
     ----------
     screening
-        Of all candidates, at the accepted structure.
+        The screening of all candidates at the accepted structure.
     contenders
         The candidates that were refitted.
     why
         The reason why no effect was added; None if one was added.
     gain
-        Gain of the criterion by the best contender.
+        Improvement of the criterion by the best contender.
     closed
-        Share of the gap to the noise that it closes.
+        Share of the gap to the noise that the best contender closes.
     coloured
-        Whether autocorrelated noise would explain as much as the contender that won, or as each
-        of them if none did.
+        Whether autocorrelated noise would explain as much as the winner; if no contender won, as
+        much as each contender.
     """
 
     screening: ScreeningResult = field(repr=False)
@@ -134,9 +134,9 @@ class RoundStart:
     model, prediction
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
-        Of all candidates, at that structure.
+        The screening of all candidates at that structure.
     floor
-        Sum of squares that the noise alone would leave.
+        Sum of squares of the noise alone.
     numerical
         Decrease of the sum of squares that the numerical error of the solver could cause.
     """
@@ -170,7 +170,7 @@ class RoundEnd:
     compared
         All structures that were refitted.
     stopped
-        By structure, the gate that stopped it.
+        The gate that stopped each structure.
     """
 
     seen: SelectionRound
@@ -198,21 +198,21 @@ class ComparedStructure:
     converged
         Whether the refit was continued to convergence. Refits that are clearly worse are not.
     accepted
-        Whether the set passed all gates, or is the rest of such a set after effects were dropped.
+        Whether the set passed all gates, or remained of such a set after effects were dropped.
     relative_steps
         Number of solver steps, divided by that of the declared model; NaN if it is not known.
     probability
         Probability of the set among all that were compared; NaN if it is not known.
     chosen
-        Share of the resamplings of the experiments in which the set is the best; NaN if it is not
+        Share of resamplings of the experiments in which the set is the best; NaN if it is not
         known.
     move
-        The part of the search that proposed the set, by its name in `closed_loop.without`.
+        Name (as in `closed_loop.without`) of the part of the search that proposed the set.
     stopped_by
-        The gate that refused the set, by the same names; empty if another set was better.
+        Name of the gate that refused the set; "" if another set was better.
     left_out, held_out
-        Error of cross-validation, in units of the residuals, and error of the held-out experiments
-        over their noise: root mean squares. NaN if the search did not accept the set.
+        Root mean square error of cross-validation, in units of the residuals, and of the held-out
+        experiments over their noise; NaN if the search did not accept the set.
     """
 
     step: int
@@ -232,7 +232,7 @@ class ComparedStructure:
 
 @dataclass(frozen=True)
 class AcceptedStructure:
-    """An accepted structure, fitted; `rounds` is the number of rounds that led to it."""
+    """An accepted structure after its fit; `rounds` is the number of rounds that led to it."""
 
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction
@@ -249,16 +249,16 @@ class SelectionResult:
     base, current
         The declared model, and the model with all added effects.
     base_prediction, prediction
-        Leave-one-out predictions of both.
+        Leave-one-out predictions of both models.
     steps, findings
-        Of all rounds.
+        The rounds, and the evidence for the candidates of all rounds.
     noise : (outputs,)
-        In units of the residuals.
+        Noise of each output, in the unit of the residuals.
     path
-        The structures that were compared, in the order of the rounds, the best of each first.
+        The compared structures in the order of the rounds, the best one of each round first.
     accepted
-        The structures that passed the gates, and those that remained after effects were dropped.
-        The declared model is the first.
+        The structures that passed the gates, or that remained after effects were dropped. The
+        first one is the declared model.
     """
 
     base: FittedModel = field(repr=False)
@@ -286,9 +286,10 @@ def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
 def useful_sse(begun: RoundStart, added: int) -> float:
     """Return the largest sum of squares with which a structure of `added` effects is useful.
 
-    A structure with the largest allowed number of effects must close `least_gain` of the gap, and
-    the share of the gap that a claim needs. This does not apply if its residual is small enough to
-    be sensor noise. A smaller structure has no such limit, because a further effect may be added.
+    A structure with the largest allowed number of effects must close `least_gain` of the gap to the
+    noise, and also the share of the gap that a claim requires. This does not apply if its residual
+    is small enough to be sensor noise. A smaller structure has no limit, because a further effect
+    may be added.
     """
     settings, floor = begun.settings, begun.floor
     if added < settings.max_effects:
@@ -301,20 +302,20 @@ def claimable_sse(begun: RoundStart, added: int) -> float:
     """Return the sum of squares above which a structure of `added` effects cannot be claimed.
 
     If no further effect is allowed, the structure must close the share of the gap that a claim
-    needs, or its residual must be small enough to be sensor noise.
+    requires, or its residual must be small enough to be sensor noise.
     """
     return np.inf if added < begun.settings.max_effects else _least_claim_sse(begun)
 
 
 def can_be_claimed(begun: RoundStart, fitted: FittedModel) -> bool:
-    """Return whether a structure closes enough of the gap, or leaves only sensor noise."""
+    """Return whether a structure closes enough of the gap, or its residual may be sensor noise."""
     return fitted.sse <= _least_claim_sse(begun)
 
 
 def may_leave_noise(begun: RoundStart, fitted: FittedModel) -> bool:
     """Return whether the residual of a structure may be sensor noise, white or coloured.
 
-    It may be if it is within the declared sigmas, or close to its own white part.
+    It may be sensor noise if it is within the declared sigmas, or close to its own white part.
     """
     within = begun.sigma_declared and fitted.sse <= VERDICT.gap * len(fitted.residuals)
     return within or fitted.sse <= _near_noise_sse(begun)
@@ -334,7 +335,7 @@ def _near_noise_sse(begun: RoundStart) -> float:
 
 
 def without_search(fitter: Fitter, settings: LoopSettings, base: FittedModel) -> SelectionResult:
-    """Return a result with the declared model alone, without a search for effects."""
+    """Return a result for the declared model if there is no search for effects."""
     nothing = LeaveOneOutPrediction(np.zeros(0))
     noise = noise_of(fitter, base.residuals)
     return SelectionResult(base, base, nothing, nothing, {}, (), (), noise, settings)
@@ -368,9 +369,9 @@ def with_single(
     won: RefittedCandidate,
     criterion: float,
 ) -> list[CandidateEvidence]:
-    """Return the candidates; the single effect that replaced all others is marked as accepted.
+    """Return the candidates, with the single effect that replaced all others marked as accepted.
 
-    `first` are the candidates that it was chosen from, at the declared model.
+    `first` are the candidates at the declared model from which this effect was chosen.
     """
     known = _evidence_of(first, won.candidate)
     if known is None:
@@ -384,7 +385,7 @@ def with_single(
 def _evidence_of(
     found: Iterable[CandidateEvidence], candidate: EffectCandidate
 ) -> CandidateEvidence | None:
-    """Return a candidate's evidence; a finer curve has that of the curve that was screened."""
+    """Return a candidate's evidence; a finer curve has the evidence of the coarse curve."""
     site, form, variables = str(candidate.site), candidate.form, candidate.effect.variables
     there = [each for each in found if (each.site, each.variables) == (site, variables)]
     own = [each for each in there if each.form == form.name]
@@ -395,7 +396,7 @@ def _evidence_of(
 def compared_structures(
     records: StackedRecords, base: FittedModel, end: RoundEnd, floor: float, step: int
 ) -> list[ComparedStructure]:
-    """Return the structures of a round, the best first; `floor` is as in `RoundStart`."""
+    """Return the structures of a round, the best first; for `floor` see `RoundStart`."""
     return [
         replace(
             compared_structure(records, base, contender.fitted, floor, step),
@@ -416,7 +417,7 @@ def compared_structure(
     step: int,
     move: str = "",
 ) -> ComparedStructure:
-    """Return an accepted structure as a row; see `compared_structures`."""
+    """Return the row of an accepted structure; see `compared_structures`."""
     gap = base.sse - floor
     return ComparedStructure(
         step=step,

@@ -1,7 +1,7 @@
-"""Columns of a measured table as signals of an experiment: the rows used, scaled, and checked.
+"""Reads columns of a measured table as signals of an experiment.
 
-Config files and `Experiment.from_table` both read their columns here, and what a config leaves
-unused is found here.
+The used rows are selected, scaled and checked. Config files and `Experiment.from_table` both use
+this module, which also finds unused columns.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
 
 SAME_TIME = 1e-9
-"""Difference of a time and a sample's, over the time or the record's length, that is rounding."""
+"""Difference between two times, over the time or the record's length, that counts as rounding."""
 
 
 @dataclass(frozen=True)
 class ColumnChange:
-    """A change of unit and times: (column - its mean, if `demean`) * factor + offset.
+    """A change of unit and times: column * factor + offset; `demean` first removes the mean.
 
-    A column that is `late` by some seconds was measured so much earlier than its times say.
+    `late` is the delay of a column: it was measured by so many seconds earlier than its times say.
     """
 
     factor: float = 1.0
@@ -43,14 +43,14 @@ class ColumnChange:
 
 @dataclass(frozen=True)
 class Clock:
-    """What is said of the times of a column.
+    """The source of the times of a column.
 
     Attributes
     ----------
     time
-        The column with the times of the rows; None where they have a period.
+        The column with the times of the rows; None if the rows have a fixed period.
     own
-        The column with its own times, which a user names; empty: those of the file, or of the rows.
+        A time column that the user names for this column; "" for the times of the file or rows.
     """
 
     time: str | None = None
@@ -69,13 +69,13 @@ class MeasuredColumns:
     table
         The measured file, or a table in memory.
     where
-        Opens each message, such as "experiment 'e1'".
+        Start of each message, such as "experiment 'e1'".
     rows
-        (from, to): rows from (counted from 0) up to, not with, to; None for all.
+        (from, to): the used rows, counted from 0, without row `to`; None for all.
     changes
-        Of columns, by name.
+        Changes of columns, by name.
     missing
-        Numbers in the file that mean that nothing was measured; in the time they are times.
+        Numbers in the file that mark missing measurements; in the time column they are times.
     """
 
     table: MeasuredTable
@@ -90,21 +90,21 @@ class MeasuredColumns:
                 raise DataError(f"{self.where}.columns: {self.table.without(name)}")
 
     def times(self, column: str | None, sample_time: float | None, counted: str) -> FloatArray:
-        """The time of each used row.
+        """Return the time of each used row.
 
         Parameters
         ----------
         column
-            Of the time; None where rows are `sample_time` seconds apart.
+            The time column; None if rows are `sample_time` seconds apart.
         sample_time
-            See there.
+            Seconds between rows.
         counted
-            A column that says how many rows there are, where none has the time.
+            A column that gives the number of rows, if there is no time column.
         """
         path = self.table.path
         if column is not None:
             times = self.clock(column).seconds
-            if self.table.signals:  # it has a row for each value, so that times come again
+            if self.table.signals:  # the table has a row for each value, so times are repeated
                 times = np.unique(times[np.isfinite(times)])
             source = f"{path}, column {column!r}"
         else:
@@ -125,12 +125,12 @@ class MeasuredColumns:
         return times
 
     def clock(self, column: str) -> TableTimes:
-        """The times in a column, in seconds of its file or since the first used row.
+        """Return the times in a column, in seconds of its file or since the first used row.
 
         Raises
         ------
         DataError
-            If it has no times, or may be read in several ways.
+            If the column contains no times, or if there are several ways to read it.
         """
         if (self._change(column) or ColumnChange()).demean:
             return TableTimes(self.column(column))
@@ -142,21 +142,21 @@ class MeasuredColumns:
         return read_times(self.table, column, rows, self.where, factor=factor, offset=offset)
 
     def _scale(self, column: str) -> tuple[float | None, float]:
-        """The factor and offset of a time, a factor of None where nothing is said."""
+        """Return the factor and offset of a time column; the factor is None if none is given."""
         change = self._change(column)
         return (None, 0.0) if change is None else (change.factor, change.offset)
 
     def _change(self, name: str) -> ColumnChange | None:
-        """The change of a column, which a pattern may name."""
+        """Return the change of a column; its key may be a pattern."""
         own = self.table.resolved(name)
         return next((c for n, c in self.changes.items() if self.table.resolved(n) == own), None)
 
     def _late(self, name: str) -> float:
-        """Seconds by which the times of a column are late."""
+        """Return the delay of a column in seconds."""
         return (self._change(name) or ColumnChange()).late
 
     def _used(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The used ones of all rows."""
+        """Return the used rows."""
         if self.rows is None:
             return rows
         first, last = self.rows
@@ -168,16 +168,16 @@ class MeasuredColumns:
         return rows[first:last]
 
     def own_times(self, name: str, clock: Clock, times: FloatArray) -> FloatArray:
-        """The times of one column: those of its own clock, or those of the rows.
+        """Return the times of one column: those of its own clock, or those of the rows.
 
         Parameters
         ----------
         name
-            Of the column.
+            Name of the column.
         clock
-            What is said of its times.
+            The source of its times.
         times
-            Of the rows.
+            Times of the rows.
         """
         table, resolved = self.table, self.table.resolved(name)
         own = clock.own or table.clocks.get(resolved)
@@ -209,7 +209,7 @@ class MeasuredColumns:
         key: str,
         clock: Clock = OF_ROWS,
     ) -> Input:
-        """A signal that drives the model, without the rows where it was not measured."""
+        """Return a signal that drives the model, without the rows without a measurement."""
         times = self.own_times(column, clock, times)
         values = self._values(times, column, f"{key}.{variable}")
         known = self._known(times, values, column)
@@ -224,7 +224,7 @@ class MeasuredColumns:
         relative_sigma: float,
         clock: Clock = OF_ROWS,
     ) -> Output:
-        """A signal that the model should follow, where it was measured."""
+        """Return a signal that the model should follow, without the rows without a measurement."""
         times = self.own_times(column, clock, times)
         values = self._values(times, column, f"outputs.{variable}")
         measured = self._known(times, values, column)
@@ -232,17 +232,17 @@ class MeasuredColumns:
         return Output(variable, times, values[measured], sigma, relative_sigma)
 
     def empty_until(self, times: FloatArray, inputs: Sequence[str], others: Sequence[str]) -> float:
-        """The time of the first row that is not empty, where a gap stands before it.
+        """Return the time of the first row with a value, if the rows before it form a gap.
 
-        Else that of the first row: without inputs a record may well begin before its first value.
+        Otherwise return the time of the first row; without inputs, this row may have no value.
         """
         known = np.zeros(len(times), dtype=bool)
         for name in (*inputs, *others) if inputs else ():
             try:
                 values = self.column(name)
-            except DataError:  # words of an ordinal output
+            except DataError:  # an ordinal output may have words
                 return float(times[0])
-            if len(values) != len(times) or np.isfinite(values[0]):  # or times of its own
+            if len(values) != len(times) or np.isfinite(values[0]):  # or it has its own times
                 return float(times[0])
             known |= np.isfinite(values)
         first = float(times[np.argmax(known)])
@@ -250,12 +250,12 @@ class MeasuredColumns:
         return first if first - times[0] > gap else float(times[0])
 
     def points(self, columns: Collection[str]) -> FloatArray:
-        """(n, d): the points of a curve, without those of which a part was not measured.
+        """Return the points of a curve without incomplete points: (n, d).
 
         Raises
         ------
         DataError
-            If there are fewer than two.
+            If there are fewer than two points.
         """
         found = [self.column(name) for name in columns]
         lengths = {len(values) for values in found}
@@ -274,7 +274,7 @@ class MeasuredColumns:
         return np.ascontiguousarray(points)
 
     def column(self, name: str) -> FloatArray:
-        """The used rows of a column in its new unit, NaN where nothing was measured."""
+        """Return the used rows of a column in its new unit; NaN for missing measurements."""
         values = self._used(self.table.numbers(name, self.where))
         if self.missing:
             values = np.where(is_missing(values, self.missing), np.nan, values)
@@ -303,7 +303,7 @@ class MeasuredColumns:
         return values
 
     def _known(self, times: FloatArray, values: FloatArray, name: str) -> npt.NDArray[np.bool_]:
-        """Which values are measured; a column with its own times may end before the others."""
+        """Return a mask of the measured values; a column with its own times may end earlier."""
         known = np.isfinite(values)
         without = np.flatnonzero(known & ~np.isfinite(times))
         if len(without):
@@ -315,7 +315,7 @@ class MeasuredColumns:
         return known
 
     def _row(self, used: int) -> int:
-        """The row in the file of one of the used rows."""
+        """Return the row number in the file of a used row."""
         return self.table.row((self.rows[0] if self.rows else 0) + used)
 
 
@@ -326,23 +326,23 @@ def interval(
     outputs: Sequence[Output],
     where: str,
 ) -> tuple[float, float]:
-    """The simulated interval: as it is given, else as far as the data goes.
+    """Return the simulated interval: the given one, or that of the data.
 
     Parameters
     ----------
     start, stop
-        As they are given; None if they are not.
+        The given values; None if they are not given.
     times
-        Of the rows, or those at which anything was measured.
+        Times of the rows, or of all measurements.
     outputs
-        Of which the last one with a sample ends it.
+        The last sample of all outputs ends the interval.
     where
-        Opens each message.
+        Start of each message.
 
     Raises
     ------
     DataError
-        If it is none.
+        If the start is not before the stop.
     """
     if start is None:
         start = float(times[0])
@@ -357,7 +357,7 @@ def interval(
 
 
 def missing_time(where: str, time: str | None, sample_time: float | None) -> str:
-    """The sentence on times that are given twice or not at all; empty if all is well."""
+    """Return an error message if times are given twice or not at all; "" otherwise."""
     given = [each for each in (time, sample_time) if each is not None]
     if len(given) == 1:
         return ""
@@ -366,7 +366,7 @@ def missing_time(where: str, time: str | None, sample_time: float | None) -> str
 
 
 def without_samples(output: Output, times: Sequence[float], where: str) -> Output:
-    """Return an output without its samples at some times, which may differ by rounding.
+    """Return an output without its samples at some times, which may contain rounding errors.
 
     Raises
     ------
@@ -388,7 +388,7 @@ def without_samples(output: Output, times: Sequence[float], where: str) -> Outpu
 
 
 def sigma_without_output(where: str, name: str, outputs: Collection[str]) -> str:
-    """The sentence on a standard deviation of what is no output."""
+    """Return an error message on a standard deviation for a name that is not an output."""
     return (
         f"{where}.{name}: must be one of the outputs of the experiment, but is "
         f"not{nearest(name, outputs)}"
@@ -396,7 +396,7 @@ def sigma_without_output(where: str, name: str, outputs: Collection[str]) -> str
 
 
 def relative_without_sigma(where: str, name: str) -> str:
-    """The sentence on noise that would be 0 where the signal is 0."""
+    """Return an error message on a relative sigma without sigma: no noise if the signal is 0."""
     return (
         f"{where}.relative_sigma.{name}: must be given together with sigma.{name}, the noise at a "
         f"signal of 0, but sigma.{name} is missing; add it"
@@ -405,34 +405,35 @@ def relative_without_sigma(where: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class TableSource:
-    """The table of an experiment, and what of it is used.
+    """The table of an experiment, and its used part.
 
     Attributes
     ----------
     experiment
-        The experiment's id.
+        Id of the experiment.
     path, rows
-        Of the file, and the rows (from, to) that are used; None for all.
+        Path of the file, and the used rows (from, to); None for all rows.
     time, sample_time
         Column with the times, or seconds between rows.
     used
-        Columns that the experiment uses, the time among them.
+        Columns that the experiment uses, including the time.
     named
-        (key of the config, column) of each signal, such as ("outputs.y", "position").
+        (config key, column) of each signal, such as ("outputs.y", "position").
     missing
-        Numbers that mean that nothing was measured.
+        Numbers that mark missing measurements.
     stand_ins
-        Numbers in the columns of its signals that hardly are measurements.
+        Numbers in the used columns that probably mark missing measurements.
     reading
-        What is said of the file.
+        The options for reading the file.
     test
-        The column that tells tests apart, and the value of this one; None where a file is one.
+        The column that distinguishes tests, and its value for this test; None if the file has one
+        test.
     notes
-        How the file was read, a sentence each.
+        Sentences on how the file was read.
     units
-        (column, unit), as far as the file says them beside the names.
+        (column, unit) for units that the file gives with the names.
     gaps
-        Those in its outputs.
+        Gaps in the outputs.
     """
 
     experiment: str
@@ -451,9 +452,9 @@ class TableSource:
     gaps: tuple[RecordGap, ...] = ()
 
     def unused(self) -> UnusedColumns:
-        """Read the file again, for its other columns.
+        """Read the file again, and return its unused columns.
 
-        Empty where the file cannot be read any more, or does not say the times.
+        The result is empty if the file cannot be read any more, or if its times are not known.
         """
         try:
             table = read_table(self.path, reading=self.reading)
@@ -468,7 +469,7 @@ class TableSource:
                 continue
             try:
                 values = reader.column(name)
-            except DataError:  # no numbers
+            except DataError:  # the column has no numbers
                 continue
             if len(values) == len(times):
                 found[name] = values
@@ -477,23 +478,23 @@ class TableSource:
 
 @dataclass(frozen=True)
 class UnusedColumns:
-    """Columns of numbers that an experiment does not use.
+    """Numeric columns that an experiment does not use.
 
     Attributes
     ----------
     times : (n,)
     values
-        Each (n,), by the column's name; NaN where nothing was measured.
+        Values by column name, each (n,); NaN for missing measurements.
     """
 
     times: FloatArray
     values: Mapping[str, FloatArray]
 
     def at(self, name: str, times: FloatArray) -> FloatArray | None:
-        """Return a column at other times, straight between its samples.
+        """Return a column at other times, with linear interpolation.
 
-        None where it is constant, or has a number in fewer than half of its rows, or ends before
-        those times do.
+        None if the column is constant, has numbers in fewer than half of its rows, or does not
+        cover these times.
         """
         values = self.values[name]
         known = np.isfinite(values)

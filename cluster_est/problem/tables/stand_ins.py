@@ -1,7 +1,7 @@
-"""Numbers that stand for no measurement: -9999, 65535, 9.9e37 among values of another size.
+"""Numbers that mark missing measurements, such as -9999, 65535 or 9.9e37 among smaller values.
 
-Loggers write them where a sensor gave nothing. A fit that takes them for measurements follows them
-and nothing else.
+Loggers write them if a sensor gives no value. A fit that uses them as measurements follows mainly
+these numbers.
 """
 
 from __future__ import annotations
@@ -20,44 +20,43 @@ NINES = (
     -999.25,
     -9999.25,
 )
-"""What loggers and file formats write where nothing was measured."""
+"""Numbers that loggers and file formats write for missing measurements."""
 INTEGER_LIMITS = (
     *(-(2.0 ** (bits - 1)) for bits in (16, 24, 32, 64)),
     *(2.0 ** (bits - 1) - 1.0 for bits in (16, 24, 32, 64)),
     *(2.0**bits - 1.0 for bits in (16, 24, 32, 64)),
 )
-"""The least and largest integers of a type. A converter that is at its end gives them too."""
+"""The least and largest integers of each type; a saturated A/D converter also gives them."""
 HUGE = 9.9e36
-"""Sizes from which on a number is the filling of a file format: 9.97e36, 9.9e37, 1e38, 3.4e38."""
+"""Size above which a number is a fill value of a file format: 9.97e36, 9.9e37, 1e38, 3.4e38."""
 LEAST_SAMPLES_BESIDE_CODES = 10
 FAR_FROM_OTHER_VALUES = 50.0
-"""Distance of a written code from the others, in their robust spread, where one of them is far off
-itself, so that they have a large range."""
+"""Least distance of a code from the other values, in their robust spread. It is used if one of the
+others is itself far away, so that their range is large."""
 LEAST_VALUES_BESIDE_CODE, LEAST_VALUES_BESIDE_NUMBER = 10, 20
-"""Different values that the others must have: below, the column is one of levels, such as a switch
-or a set point, and its last level is one of these. The first is for codes, the second for any
-number."""
+"""Least number of different other values, beside a code and beside any other number. A column with
+fewer values has levels, such as a switch or a set point, and the number may be one of them."""
 LEAST_REPETITIONS = 3
-"""Least number of samples that say of any number that it stands for no measurement."""
+"""Least number of samples with a number (other than a code) that marks missing measurements."""
 LONGEST_REPETITION = 10
-"""Samples in a row of any number; longer ones are a state."""
+"""Largest number of successive samples with such a number; a longer sequence is a real state."""
 LARGEST_SHARE_OF_CODE = 0.5
-"""Largest share of the samples that a written code may have."""
+"""Largest share of the samples with a code."""
 LARGEST_SHARE_OF_NUMBER = 0.05
-"""Largest share of the samples that any other number may have, if it stands for no measurement."""
+"""Largest share of the samples with another number that marks missing measurements."""
 MOST_NAMED_RECORDS = 3
 
 
 @dataclass(frozen=True)
 class StandIn:
-    """A number of a column that is apart from all others.
+    """A number in a column that probably marks missing measurements.
 
     Attributes
     ----------
     value, count
-        The number, and how often it is there.
+        The number, and how often it occurs.
     samples
-        Of the column.
+        Number of samples in the column.
     low, high
         The least and the largest of the other numbers.
     """
@@ -70,14 +69,16 @@ class StandIn:
 
 
 def is_missing(values: FloatArray, missing: Sequence[float]) -> npt.NDArray[np.bool_]:
-    """Return which values stand for no measurement; single precision has rounded some of them.
+    """Return a mask of the values that mark missing measurements.
+
+    Numbers that were rounded to single precision are also recognised.
 
     Parameters
     ----------
     values : (n,)
-        As they are in the file.
+        Values as in the file.
     missing
-        Numbers that mean that nothing was measured.
+        Numbers that mark missing measurements.
     """
     with np.errstate(over="ignore"):
         rounded = np.asarray(missing, np.float64).astype(np.float32).astype(np.float64)
@@ -85,18 +86,18 @@ def is_missing(values: FloatArray, missing: Sequence[float]) -> npt.NDArray[np.b
 
 
 def stand_ins(values: FloatArray) -> tuple[StandIn, ...]:
-    """Return the numbers of a column that hardly are measurements, the least first.
+    """Return the numbers of a column that probably mark missing measurements, the least first.
 
-    A code (`NINES`, numbers from `HUGE` on, `INTEGER_LIMITS`) is one if it lies farther from all
-    other values than their own range. So is any number that is the least or the largest of the
-    column, is there at least three times, each time for a few samples, and lies as far off, if the
-    others are many and different. Where a signal ends at a limit without a gap, as of a sensor in
-    saturation, or has levels alone, as a switch, no number stands for a missing one.
+    A code (`NINES`, numbers above `HUGE`, `INTEGER_LIMITS`) is one if it is farther from all other
+    values than their own range. Any other number is one if it is the least or the largest value, is
+    equally far away, occurs at least three times and each time only for a few samples, and if there
+    are many different other values. A limit that the signal reaches without a gap (sensor
+    saturation) and a level of a switch are never such numbers.
 
     Parameters
     ----------
     values : (n,)
-        In the order of time; NaN where nothing was measured.
+        Values in the order of time; NaN for missing measurements.
     """
     known = values[np.isfinite(values)]
     if len(known) < LEAST_SAMPLES_BESIDE_CODES:
@@ -136,7 +137,7 @@ def _stand_in(value: float, known: FloatArray, others: FloatArray) -> StandIn:
 
 
 def _is_apart(values: FloatArray, value: float, others: FloatArray) -> bool:
-    """Return whether a column leaves many different values for one far off, now and then."""
+    """Return whether a column with many different values jumps to a distant value at times."""
     count = len(values) - len(others)
     if (
         count < LEAST_REPETITIONS
@@ -160,16 +161,16 @@ def _is_apart(values: FloatArray, value: float, others: FloatArray) -> bool:
 
 @dataclass(frozen=True)
 class FoundStandIn:
-    """A stand-in, and where it is.
+    """A stand-in, and its place.
 
     Attributes
     ----------
     key
-        Of the config, such as "outputs.y".
+        Config key of the signal, such as "outputs.y".
     column
-        Of the table; empty if it is not known.
+        Column of the table; "" if it is not known.
     experiment
-        Its id.
+        Id of the experiment.
     stand_in
         The number.
     """
@@ -181,7 +182,7 @@ class FoundStandIn:
 
 
 def of_experiment(experiment: Experiment) -> tuple[FoundStandIn, ...]:
-    """Return the stand-ins in the signals of an experiment that was read from no known file."""
+    """Return the stand-ins in the signals of an experiment without a known file."""
     signals = [(f"outputs.{each.variable}", each.values) for each in experiment.outputs]
     signals += [(f"inputs.{each.variable}", each.values) for each in experiment.inputs]
     signals += [(f"signals.{each.variable}", each.values) for each in experiment.signals]
@@ -195,14 +196,14 @@ def of_experiment(experiment: Experiment) -> tuple[FoundStandIn, ...]:
 def stand_in_findings(
     found: Sequence[FoundStandIn], missing: Sequence[float] = ()
 ) -> tuple[tuple[str, str], ...]:
-    """Say which numbers are hardly measurements, and what leaves them out.
+    """Say which numbers probably mark missing measurements, and how to leave them out.
 
     Parameters
     ----------
     found
-        In all experiments.
+        The stand-ins of all experiments.
     missing
-        What is left out already.
+        Numbers that are already left out.
     """
     groups: dict[tuple[str, float], list[FoundStandIn]] = {}
     for each in found:
@@ -218,7 +219,7 @@ def stand_in_findings(
 
 
 def written(value: float) -> str:
-    """Return a number as it is written in TOML, before single precision rounded it."""
+    """Return a number in TOML notation, as it was before rounding to single precision."""
     with np.errstate(over="ignore"):
         single = float(np.float32(value)) == value
     text = str(np.float32(value)) if single else repr(value)
@@ -249,11 +250,11 @@ def by_column(
     Parameters
     ----------
     columns
-        As they are in the file, by name.
+        Columns as in the file, by name.
     named
-        (key of the config, column) of its signals.
+        Pairs (config key, column) of the experiment's signals.
     experiment
-        Its id.
+        Id of the experiment.
     """
     return tuple(
         FoundStandIn(key, column, experiment, each)

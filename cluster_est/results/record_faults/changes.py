@@ -1,7 +1,7 @@
-"""Changes of one record that would mend it: of a column's gain, sign, offset, times, place.
+"""Changes that may correct one record: of a column's gain, sign, offset, times or place.
 
-Each is a search in one number or in none. All searches go on in step, so that what each asks for is
-simulated together; what changes outputs alone needs no simulation.
+Each change is a search in one number or has no number. All searches advance together, so that their
+requests are simulated in one batch. A change of outputs alone needs no simulation.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from workers.messages import Experiment, FloatArray
 ROUNDS = 8
 GAINS = (0.25, 0.7, 1.4)
 SHIFTS = (-32.0, -16.0, -8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Samples by which times are moved."""
+"""Tried shifts of the times, in samples."""
 LARGEST_SHIFT = 0.1
-"""Part of a record."""
+"""Largest shift, as a share of the record's length."""
 STEP_OF_STATE = 1e-3
-"""Of an initial state, of the larger of it and 1."""
+"""First step of an initial state, relative to its absolute value or 1, whichever is larger."""
 
 Request = Experiment | FloatArray
-"""A changed experiment to be simulated, or residuals that are known without."""
+"""A changed experiment to simulate, or residuals that are known without a simulation."""
 Answer = FloatArray | None
 Search = Generator[list[Request], list[Answer], tuple[float, FloatArray] | None]
 
 
 @dataclass(frozen=True)
 class MendedRecord:
-    """A record with something changed.
+    """A record with one change.
 
     Attributes
     ----------
     kind, sort, variables
-        What is changed.
+        The kind of the change, and the changed inputs or outputs.
     factor, offset, size
-        What the column is multiplied by, what is added, and any other size, to mend it.
+        The factor and offset that correct the column, or another size of the change.
     unknowns
-        Numbers that were found for it.
+        Number of values that were fitted for the change.
     residuals : (n,)
-        Of the record.
+        Residuals of the changed record.
     left
-        Sum of squares of all records over their noise, behind the projection.
+        Sum of squares of all records over their noise, after the projection.
     """
 
     kind: FaultKind
@@ -62,19 +62,19 @@ class MendedRecord:
 
 @dataclass(frozen=True)
 class OddRecord:
-    """A record that the others do not predict.
+    """A record that a fit to the other records does not predict.
 
     Attributes
     ----------
     run
         The experiment.
     residuals : (n,)
-        Of it, with the parameters that fit the others.
+        Its residuals, with the parameters that fit the other records.
     project
-        Takes out of residuals of this record, stacked with those of the others, what the parameters
-        could follow: (n, columns) to (all, columns), over the noise.
+        Divides residuals of this record by the noise, appends those of the other records, and
+        removes the part that parameters can explain: (n, columns) to (all, columns).
     states
-        Those whose initial value is known, and what it is.
+        The states with a known initial value, and this value.
     """
 
     run: Experiment
@@ -83,25 +83,25 @@ class OddRecord:
     states: tuple[tuple[str, float], ...] = ()
 
     def takes(self, residuals: FloatArray) -> bool:
-        """Return whether residuals are as many as those of the record, and finite."""
+        """Return whether residuals are finite and have the same number as those of the record."""
         return len(residuals) == len(self.residuals) and bool(np.isfinite(residuals).all())
 
     def square(self, residuals: FloatArray) -> float:
-        """Sum of squares behind the projection."""
+        """Return the sum of squares after the projection."""
         return float(np.add.reduce(self.project(residuals) ** 2))
 
 
 def mended(
     record: OddRecord, simulate: Callable[[list[Experiment]], list[Answer]]
 ) -> list[MendedRecord]:
-    """Return all changes of a record at their best sizes.
+    """Return all changes of a record, each with its best size.
 
     Parameters
     ----------
     record
-        The odd one.
+        The odd record.
     simulate
-        Returns residuals of changed experiments, with the parameters that fit the others.
+        Returns residuals of changed experiments, with the parameters that fit the other records.
     """
     entries = [*_of_outputs(record), *_of_inputs(record), *_of_start(record)]
     asked = [next(search) for _, search in entries]
@@ -135,14 +135,14 @@ def _scalar(
     *,
     near: bool = True,
 ) -> Search:
-    """Find the best size of a change: the best of some, then secants of Gauss-Newton's method.
+    """Find the best size of a change: try some sizes, then do Gauss-Newton steps with secants.
 
     Parameters
     ----------
     begin
-        The size that changes nothing.
+        The size without a change.
     near
-        Whether a step may go beyond the neighbours of the best.
+        Whether a step is limited to twice the distance of the neighbouring size.
     """
     known: dict[float, FloatArray] = {begin: record.residuals}
     wanted = [size for size in sizes if size not in known]
@@ -159,7 +159,7 @@ def _scalar(
 
 
 def _steps(record: OddRecord, known: dict[float, FloatArray], *, near: bool) -> list[float]:
-    """Return sizes that the secants to both neighbours of the best propose."""
+    """Return the next sizes, from the secants between the best size and its two neighbours."""
     sizes = sorted(known)
     squares = [record.square(known[size]) for size in sizes]
     best = int(np.argmin(squares))
@@ -182,7 +182,7 @@ def _steps(record: OddRecord, known: dict[float, FloatArray], *, near: bool) -> 
 
 
 def _of_outputs(record: OddRecord) -> list[Entry]:
-    """Changes of outputs, none of which needs a simulation."""
+    """Return the changes of outputs; these need no simulation."""
     entries: list[Entry] = []
     run, names = record.run, [o.variable for o in record.run.outputs if len(o.times)]
     for name in names:
@@ -219,7 +219,7 @@ def _with_rows(record: OddRecord, rows: slice, values: FloatArray) -> FloatArray
 
 
 def _parts(record: OddRecord, name: str) -> tuple[slice, FloatArray, FloatArray, FloatArray]:
-    """Rows, sigmas, measured and simulated values of an output."""
+    """Return the rows, sigmas, measured and simulated values of an output."""
     rows = _rows(record, name)
     output = next(o for o in record.run.outputs if o.variable == name)
     sigmas = output.sigmas
@@ -252,7 +252,7 @@ def _offset_of_output(record: OddRecord, name: str) -> Entry:
 
 
 def _units_of_output(record: OddRecord, name: str) -> Entry:
-    """Of the units of which a column may be, the best."""
+    """Return the change of an output's unit: the best of the possible units."""
     rows, sigmas, measured, simulated = _parts(record, name)
     return _units(
         record, "outputs", name,
@@ -287,16 +287,17 @@ def _units(
 
 
 def conversions() -> list[tuple[float, float]]:
-    """Return factors and offsets that bring a column from another unit into the right one."""
+    """Return factors and offsets that convert a column from another unit into the right one."""
     there = [(1.0 / factor, -offset / factor) for factor, offset, _ in UNIT_FACTORS]
     back = [(factor, offset) for factor, offset, _ in UNIT_FACTORS]
     return [*there, *back]
 
 
 def _late(record: OddRecord, names: tuple[str, ...], kind: FaultKind, *, smooth: bool) -> Entry:
-    """Of outputs whose times are moved; samples that were not simulated then say nothing.
+    """Return the shift of outputs in time; samples outside the simulated time are ignored.
 
-    Between samples what was simulated is smooth, or has kinks where the inputs have.
+    `smooth` says whether the simulated outputs are smooth between samples, or have kinks like the
+    inputs.
     """
     own = [(o, *_parts(record, o.variable)) for o in record.run.outputs if o.variable in names]
     own = [each for each in own if len(each[0].times) > 3]
@@ -342,7 +343,7 @@ def _as_it_is(
 
 
 def _of_inputs(record: OddRecord) -> list[Entry]:
-    """Changes of inputs, each of which is simulated."""
+    """Return the changes of inputs; each of them needs simulations."""
     run = record.run
     entries: list[Entry] = []
     for given in run.inputs:
@@ -420,7 +421,7 @@ def _late_input(record: OddRecord, name: str) -> Entry:
 
 
 def _of_start(record: OddRecord) -> list[Entry]:
-    """Changes of known initial states, one at a time."""
+    """Return the changes of known initial states, one at a time."""
     return [_start_of(record, state, start) for state, start in record.states]
 
 

@@ -1,4 +1,4 @@
-"""A fault of a record, in a sentence, with the key of a config that mends it."""
+"""A fault of a record, with its sentence and the config key that corrects it."""
 
 from __future__ import annotations
 
@@ -30,42 +30,42 @@ UNIT_FACTORS: tuple[tuple[float, float, str], ...] = (
     (1.8, 32.0, "degF for degC"),
     (1.8, -459.67, "degF for K"),
 )
-"""What a column has where another unit was meant: factor times the number that was meant, plus an
-offset; each may be the other way round."""
+"""Confusions of units: the column contains factor times the right number, plus an offset. Each may
+also be the other way round."""
 SAME_FACTOR = 0.03
-"""Distance of a gain from a unit's, as a part of it, that makes it that unit's."""
+"""Relative distance from a unit's factor up to which a gain counts as this confusion of units."""
 SAME_OFFSET = 0.01
-"""Distance of an offset from a unit's, as a part of it."""
+"""Relative distance from a unit's offset up to which an offset counts as this confusion."""
 
 
 @dataclass(frozen=True)
 class RecordFault:
-    """A fault of one record, or of all.
+    """A fault of one record, or of all records.
 
     Attributes
     ----------
     kind
-        What is wrong.
+        The kind of the fault.
     experiment
-        Its id; "" for all records.
+        Id of the experiment; "" for all records.
     sort, variables
-        Inputs or outputs, and which of them.
+        Whether inputs or outputs are wrong, and their names.
     size
-        A gain, an offset, seconds, the shift of an initial state, or a frequency in hertz: what the
-        column has over what it should have, or less that. NaN where it has none.
+        A gain (column over right value), an offset (column minus right value), a shift in seconds
+        or of an initial state, or a frequency in hertz. NaN if the fault has no size.
     before, after
-        The largest root mean square residual of an output of the record over its noise, as it is,
-        and once the fault is mended.
+        The largest root mean square residual of the record's outputs over the noise, with the
+        fault, and after its correction.
     unit
-        Of the quantity, or what it was taken for.
+        Unit of the quantity, or the confusion of units.
     others
-        What else these data do not tell from it.
+        Other faults that these data cannot distinguish from this one.
     frequencies
-        Of a foreign source, the lowest and the highest.
+        Lowest and highest frequency of a foreign source.
     factor, offset
-        Of the column, that mend it; the offset of an initial state is its value.
+        Factor and offset that correct the column; for an initial state, the offset is its value.
     column
-        Of the table, where it is known.
+        Column of the table, if it is known.
     """
 
     kind: FaultKind
@@ -84,7 +84,7 @@ class RecordFault:
 
     @property
     def sentence(self) -> str:
-        """Say what is wrong, how well it is known, and what mends it."""
+        """The fault, its evidence, and its correction, as a sentence."""
         if self.kind == "foreign source":
             return f"check the records first: {self.said}; {self.remedy}"
         own = f"experiment {self.experiment}"
@@ -102,7 +102,7 @@ class RecordFault:
 
     @property
     def said(self) -> str:
-        """What is wrong, alone."""
+        """The fault without evidence and correction."""
         name, what = " and ".join(self.variables), self.sort.removesuffix("s")
         if self.kind == "gain":
             how = "large" if abs(self.size) > 1.0 else "small"
@@ -139,7 +139,7 @@ class RecordFault:
 
     @property
     def remedy(self) -> str:
-        """The keys of a config that mend it."""
+        """The config keys that correct the fault."""
         aside = 'or leave the record out of the fit with role = "test"' if self.experiment else ""
         return ", ".join(filter(None, (self._key, aside)))
 
@@ -173,14 +173,14 @@ class RecordFault:
 
 
 def as_unit(factor: float, offset: float, spread: float) -> str:
-    """Return which unit a column seems to have; "" for none.
+    """Return the probable confusion of units of a column; "" for none.
 
     Parameters
     ----------
     factor, offset
-        What the column has: factor times what is meant, plus the offset.
+        The column contains factor times the right value, plus the offset.
     spread
-        Standard deviation of the column, in which an offset must be large to be told.
+        Standard deviation of the column; an offset must be large compared with it.
     """
     for own, shift, words in UNIT_FACTORS:
         one, _, other = words.partition(" for ")

@@ -1,4 +1,4 @@
-"""Tests of the records, by name, at a fit that leaves more than noise."""
+"""Runs the tests of the records if the residual of a fit is more than noise."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class RecordTest:
 
 
 MOST_ENTRIES = 20_000_000
-"""Entries of a Jacobian that records are compared by."""
+"""Largest number of entries of a Jacobian for these tests."""
 TESTS: tuple[RecordTest, ...] = (
     RecordTest("foreign source", foreign_source),
     RecordTest("odd record", odd_record),
 )
-"""In this order, the one without simulations first; the first that finds something is believed."""
+"""The tests in their order; the first one needs no simulations. The first finding is used."""
 
 
 def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
-    """Look for faults of records where a fit leaves more than noise; nothing is done otherwise."""
+    """Search for faults of records; () if the residual is not more than noise."""
     if not _can_be_tested(fitted.space) or not fitted.space.size:
         return ()
     if len(fitted.residuals) != fitted.records.size:
@@ -54,7 +54,7 @@ def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
             found = tuple(test.find(fitted))
         except BudgetError:
             raise
-        except ClusterEstError:  # a hint is missing then, and nothing else
+        except ClusterEstError:  # then only this hint is missing
             continue
         if found:
             return tuple(_with_column(fitted, each) for each in found)
@@ -62,7 +62,7 @@ def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
 
 
 def _with_column(fitted: FittedRecords, fault: RecordFault) -> RecordFault:
-    """Name the column of the table, where it is known."""
+    """Add the name of the table's column, if it is known."""
     key = f"{fault.sort}.{fault.variables[0]}"
     column = fitted.problem.columns.get(key, fault.column)
     return replace(fault, column=column)
@@ -75,16 +75,16 @@ def faults_of_fit(
     resources: Resources,
     runner: Runner,
 ) -> tuple[RecordFault, ...]:
-    """Look for faults of records where a fit ended.
+    """Search for faults of records at the estimates of a fit.
 
     Parameters
     ----------
     space, solution
-        Of the training experiments, with a Jacobian.
+        Search space and solution of the training experiments, with a Jacobian.
     simulations
-        Of every experiment of the problem at the estimates, with trajectories.
+        Simulations of all experiments at the estimates, with trajectories.
     resources, runner
-        Of the fit, whose workers still stand ready.
+        Resources and runner of the fit; its workers must still be running.
     """
     if not _can_be_tested(space):
         return ()
@@ -100,7 +100,7 @@ def faults_of_fit(
 
 
 def _can_be_tested(space: SearchSpace) -> bool:
-    """Whether residuals are plain distances of outputs over their noise."""
+    """Return whether all residuals are plain differences of outputs over sigma."""
     problem = space.problem
     outputs = [o for e in space.experiments for o in problem.experiments[e].outputs]
     compared = any(o.free_scale or o.free_offset for o in outputs)

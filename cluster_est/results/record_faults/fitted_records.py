@@ -1,4 +1,4 @@
-"""The records of a fit, and what simulates and fits them again with something changed."""
+"""The records of a fit, with functions that simulate and fit them again after changes."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from cluster_est.statistics.records import StackedRecords, make_records
 from workers.messages import Experiment, FloatArray
 
 AT_NOISE = 1.3
-"""Residual over noise up to which a record fits."""
+"""Largest ratio of residual to noise with which the model fits a record."""
 BY_CHANCE = 4.0
-"""Standard errors of a short record's residual that count as its noise."""
+"""Number of standard errors of a short record's residual that count as chance."""
 OFF = 2.0
-"""Residual over noise from which on a record does not."""
+"""Ratio of residual to noise above which the model does not fit a record."""
 LEAST_STEPS, STEPS_OF_SAMPLE = 20_000, 100
-"""Steps of a solver that a changed record may take: a change that is far off may make it stiff."""
+"""Limits of the solver steps for a changed record, because a wrong change may make it stiff."""
 REFIT = LeastSquares(trials=1, max_iterations=15, ftol=1e-4, xtol=1e-5, differences="forward")
 
 
 @dataclass(frozen=True)
 class FittedRecords:
-    """Training experiments where a fit stands.
+    """Training experiments at the estimates of a fit.
 
     Attributes
     ----------
     problem
-        Of the fit.
+        The fitted problem.
     space
-        Of all training experiments.
+        Search space of all training experiments.
     x : (unknowns,)
-        The estimates.
+        The estimates in search coordinates.
     residuals : (n,), jacobian : (n, unknowns)
-        Stacked; of the free unknowns, others have zeros.
+        Residuals and derivatives of all training experiments; fixed unknowns have zero columns.
     runner, resources
-        Of the fit: for simulations of the records as they are, and of changed ones.
+        Runner of the fit, for unchanged records; resources, for changed records.
     count
-        Told of the simulations of changed records.
+        Receives the number of simulations of changed records.
     """
 
     problem: Problem
@@ -62,17 +62,17 @@ class FittedRecords:
 
     @property
     def train(self) -> tuple[int, ...]:
-        """Indices of the experiments."""
+        """Indices of the training experiments."""
         return self.space.experiments
 
     @cached_property
     def runs(self) -> list[Experiment]:
-        """The experiments."""
+        """The training experiments."""
         return [self.problem.experiments[e] for e in self.train]
 
     @cached_property
     def records(self) -> StackedRecords:
-        """Of the residuals."""
+        """The rows of each output and experiment."""
         return make_records(self.runs)
 
     @cached_property
@@ -82,11 +82,11 @@ class FittedRecords:
 
     @cached_property
     def noise_here(self) -> FloatArray:
-        """Of each output, where the fit stands; see `noise`."""
+        """The noise of each output at the estimates; see `noise`."""
         return self.noise(self.residuals, self.runs)
 
     def noise(self, residuals: FloatArray, runs: Sequence[Experiment]) -> FloatArray:
-        """Return the noise of each output in units of sigma, no less than a sigma that is given."""
+        """Return the noise of each output in units of sigma; at least 1 if a sigma is given."""
         outputs = [output for run in runs for output in run.outputs]
         measured = np.concatenate([o.values / o.sigmas for o in outputs])
         records = make_records(runs)
@@ -100,7 +100,7 @@ class FittedRecords:
     ) -> FloatArray:
         """Return the largest root mean square residual of each experiment's outputs, over noise.
 
-        Less for a short record, whose noise alone may be larger by chance.
+        The ratio is reduced for a short record, whose noise may be larger by chance.
         """
         found = np.zeros(len(runs))
         for item in make_records(runs).items:
@@ -112,16 +112,16 @@ class FittedRecords:
         return found
 
     def refit(self, spaces: Sequence[SearchSpace]) -> list[Solution]:
-        """Fit the records as they are, some of them left out."""
+        """Fit unchanged records in each of these search spaces, which may leave out records."""
         return self.runner.run([SearchRequest("records", REFIT, space) for space in spaces])
 
     def simulate(self, runs: Sequence[Experiment], values: FloatArray) -> list[FloatArray | None]:
-        """Return the residuals of changed experiments, None where one fails.
+        """Return the residuals of changed experiments; None for a failed simulation.
 
         Parameters
         ----------
         runs, values
-            A row of physical values for each.
+            The experiments, and a row of physical values for each of them.
 
         Raises
         ------
@@ -141,14 +141,14 @@ class FittedRecords:
     def sensitivities(
         self, position: int, space: SearchSpace, x: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Return the residuals of one record and their derivatives by all unknowns of a space.
+        """Return the residuals of one record and their derivatives for all unknowns of a space.
 
         Parameters
         ----------
         position
-            Of the record among the training experiments.
+            Index of the record among the training experiments.
         space, x
-            Of all training experiments, and where.
+            Search space of all training experiments, and the point.
         """
         acting = space.acting[position]
         steps = 1e-3 * np.maximum(np.abs(x), space.typical)

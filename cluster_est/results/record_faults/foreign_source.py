@@ -1,8 +1,8 @@
-"""A foreign source: a line in the residual of each record, of another frequency each time.
+"""A foreign source: a spectral line in each record's residual, each with a different frequency.
 
-What a model lacks answers to what drives it, or rings at a frequency of its own. A line whose
-frequency differs from record to record and is in no input comes from elsewhere: the mains, a pump,
-another machine.
+An effect that the model lacks responds to the inputs, or oscillates at a fixed natural frequency. A
+line comes from elsewhere (the mains, a pump, another machine) if its frequency differs between
+records and occurs in no input.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
 
 SHORTEST = 32
-"""Samples of a record with a line."""
+"""Least number of samples of a record for this test."""
 MOST_EVEN_STEPS = 2.0
-"""Times its samples that a record may have even steps: of one with long gaps a spectrum is that of
-straight lines."""
+"""Largest number of even steps over the number of samples. A record with long gaps has more, and
+its spectrum would be that of the straight lines in the gaps."""
 FEWEST_PERIODS = 3.0
-"""Periods of a line in a record, or it is no line."""
+"""Least number of periods of a line in a record."""
 SHARE = 0.8
-"""Share of the squares beyond the noise that the line has in each record."""
+"""Least share of the line in each record's sum of squares beyond the noise."""
 SHARE_OF_INPUT = 0.3
-"""Share of the squares of an input, in the same record, from which on the line is in it."""
+"""Share of an input's sum of squares above which the line counts as part of this input."""
 STANDS_OUT = 30.0
-"""Times the level of the spectrum around it that a line has. By chance one of n lines of noise of
-any colour has it with a probability of n exp(-30)."""
+"""Least ratio of a line to the level of the spectrum around it. In noise of any colour, one of n
+lines reaches it with a probability of n exp(-30)."""
 AROUND, PEAK = 20, 3
-"""Lines of the spectrum, to either side, that level is of, and those that are the peak's own."""
+"""Number of spectral lines on each side that give this level, and that belong to the peak."""
 PADDING = 4
-"""Times its length that a record is padded to: the peak lies between the lines of a spectrum."""
+"""Zero padding, as a multiple of the record's length, to find a peak between spectral lines."""
 
 
 @dataclass(frozen=True)
 class SpectralLine:
-    """The strongest line of a record.
+    """The strongest spectral line of a record.
 
     Attributes
     ----------
     frequency
-        In hertz.
+        Frequency in hertz.
     resolution
         One over the length of the record.
     rest : (n,)
-        What is left without it.
+        The signal without the line.
     """
 
     frequency: float
@@ -59,7 +59,7 @@ class SpectralLine:
 
 
 def foreign_source(fitted: FittedRecords) -> tuple[RecordFault, ...]:
-    """Find a line of another frequency in each record that is off, and in no input."""
+    """Find lines with different frequencies in all poorly fitted records, but in no input."""
     noise = fitted.noise_here
     residuals = fitted.residuals
     before = fitted.levels(residuals, fitted.runs, noise)
@@ -100,7 +100,7 @@ def foreign_source(fitted: FittedRecords) -> tuple[RecordFault, ...]:
 
 
 def _line(signal: FloatArray, item: OutputRecord) -> SpectralLine | None:
-    """Fit a sine of any frequency, beside a straight line."""
+    """Fit a sine of unknown frequency and a straight line."""
     times = item.times
     if len(times) < SHORTEST:
         return None
@@ -131,7 +131,7 @@ def _line(signal: FloatArray, item: OutputRecord) -> SpectralLine | None:
 
 
 def _level_around(power: FloatArray, place: int) -> float:
-    """The mean of a spectrum around a line, by its median: both of exponential distributions."""
+    """Return the mean of a spectrum around a line, from its median (exponential distribution)."""
     numbers = np.arange(len(power))
     away = np.abs(numbers - place)
     near = power[(away > PADDING * PEAK) & (away <= PADDING * AROUND) & (numbers > 0)]
@@ -139,7 +139,7 @@ def _level_around(power: FloatArray, place: int) -> float:
 
 
 def _without(signal: FloatArray, times: FloatArray, frequency: float) -> FloatArray:
-    """A signal without a sine of this frequency and a straight line."""
+    """Return a signal without a sine of this frequency and without a straight line."""
     phase = 2.0 * np.pi * frequency * (times - times[0])
     ramp = np.linspace(-1.0, 1.0, len(times))
     matrix = np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(times)), ramp])
@@ -147,7 +147,7 @@ def _without(signal: FloatArray, times: FloatArray, frequency: float) -> FloatAr
 
 
 def _in_inputs(run: Experiment, frequency: float) -> bool:
-    """Return whether much of an input is a sine of this frequency."""
+    """Return whether a considerable part of an input is a sine of this frequency."""
     for given in (*run.inputs, *run.signals):
         values = given.values - np.mean(given.values)
         total = float(np.sum(values**2))
@@ -161,7 +161,7 @@ def _in_inputs(run: Experiment, frequency: float) -> bool:
 
 
 def _differ(lines: list[SpectralLine]) -> bool:
-    """Return whether the frequencies of records differ by more than they are blurred."""
+    """Return whether the frequencies of records differ by more than their resolution."""
     for number, one in enumerate(lines):
         for other in lines[:number]:
             if abs(one.frequency - other.frequency) > max(one.resolution, other.resolution):

@@ -1,9 +1,9 @@
-"""The odd record: the others fit at the level of the noise without it, and one change mends it.
+"""Finds an odd record: one change corrects it, and the model fits all other records.
 
-A model that lacks something misfits in several records, and no gain, shift or exchange of columns
-brings one of them to the noise. So three things are asked for: a fit to the other records leaves
-noise alone, the record that was left out is far from what that fit predicts, and with one change of
-one column it is as near as the others.
+If a model lacks something, it misfits several records, and no gain, shift or exchange of columns
+corrects one of them. So there are three conditions. A fit to the other records leaves only noise.
+The record that was left out is far from the prediction of this fit. With one change of one column,
+the fit to this record is as good as to the others.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ from cluster_est.statistics.projection import OrthogonalProjection
 from workers.messages import Experiment, FloatArray
 
 FEWEST_RECORDS = 3
-"""Records of which one may be odd; of two, each is."""
+"""Least number of records; with two records, the odd one cannot be identified."""
 MOST_LEFT_OUT = 6
-"""Records that are left out, those first whose absence the linear model promises most of."""
+"""Largest number of records that are left out, one at a time; those are chosen without which the
+linear model predicts the best fit."""
 MANY, FEW = 8, 2
-"""Records from which on one alone hardly moves a fit, so that the linear model is right, and the
-number that is left out then."""
+"""Number of records above which a single record hardly changes a fit, so that the linear model is
+accurate; number of records that are then left out, one at a time."""
 SUSPECTED = 20
-"""Records that the linear model is asked of; of more, those that are farthest off."""
+"""Largest number of records for the linear model; those with the largest residuals are chosen."""
 SAME = 10.0
-"""Difference of sums of squares over the noise up to which two changes explain the same. Theory:
-as strong evidence as `REFINEMENT.alternative`."""
+"""Difference of sums of squares over the noise up to which two changes are equally good. Theory:
+the same strength of evidence as `REFINEMENT.alternative`."""
 GROSS = 20.0
-"""Residual over noise from which on the fit may have been led astray: others begin at the start
-values, too."""
+"""Ratio of residual to noise above which the faulty record may have led the fit to a wrong minimum.
+Then the fits to the other records also start at the start values."""
 LEAST_GAIN = 0.03
-"""Distance of a gain from 1 that is worth a word: a calibration may be off by less."""
+"""Least distance of a gain from 1 for a fault; a calibration error may be smaller."""
 PASSES = 6
-"""Passes over the changes of a record with unknowns of its own, such as an initial state: what the
-fit found for these tried to make up for the fault."""
+"""Passes over the changes of a record with its own unknowns, such as an initial state. They are
+repeated because the estimates of these unknowns partly compensated the fault."""
 PLAINEST = (
     "swapped", "sign", "unit", "clock", "delay", "gain", "offset", "initial state",
 )  # fmt: skip
-"""Of changes that explain the same, the first is named."""
+"""Order of the kinds; of equally good changes, the first one is named."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +58,20 @@ class LeftOut:
 
     @property
     def is_known(self) -> bool:
-        """It could be simulated, and has derivatives."""
+        """Whether the fit could be simulated and has derivatives."""
         at = self.solution.at
         return at is not None and at.ok and self.solution.jacobian is not None
 
     @property
     def residuals(self) -> FloatArray:
-        """Of the others."""
+        """The residuals of the other records."""
         at = self.solution.at
         assert at is not None
         return np.asarray(at.residuals)
 
 
 def odd_record(fitted: FittedRecords) -> tuple[RecordFault, ...]:
-    """Find the record that differs from all others by one change of a column."""
+    """Find the record that one change of a column makes consistent with all others."""
     if len(fitted.runs) < FEWEST_RECORDS:
         return ()
     odd = [each for each in _left_out(fitted) if _others_fit(fitted, each)]
@@ -83,7 +84,7 @@ def odd_record(fitted: FittedRecords) -> tuple[RecordFault, ...]:
 
 
 def _left_out(fitted: FittedRecords) -> list[LeftOut]:
-    """Fit the others without each record, from the estimates and from the start values."""
+    """Leave out each record and fit the others, from the estimates and maybe the start values."""
     many = len(fitted.runs) > MANY
     promised = []
     for position in _suspected(fitted) if many else range(len(fitted.runs)):
@@ -109,7 +110,7 @@ def _left_out(fitted: FittedRecords) -> list[LeftOut]:
 
 
 def _suspected(fitted: FittedRecords) -> list[int]:
-    """Return the records that are farthest off."""
+    """Return the positions of the records with the largest residuals over noise."""
     levels = fitted.levels(fitted.residuals, fitted.runs, fitted.noise_here)
     return [int(position) for position in np.argsort(-levels, kind="stable")[:SUSPECTED]]
 
@@ -125,7 +126,7 @@ def _others_fit(fitted: FittedRecords, left: LeftOut) -> bool:
 
 
 def _fault(fitted: FittedRecords, left: LeftOut) -> RecordFault | None:
-    """Look for the change that mends the record; None where it is not off, or none does."""
+    """Return the change that corrects the record; None if it has no fault, or no change helps."""
     run, others = fitted.runs[left.position], _others(fitted, left)
     names = {o.variable for each in others for o in each.outputs}
     if not all(o.variable in names for o in run.outputs):
@@ -150,7 +151,10 @@ def _fault(fitted: FittedRecords, left: LeftOut) -> RecordFault | None:
 def _searched(
     fitted: FittedRecords, left: LeftOut, whole: SearchSpace, x: FloatArray
 ) -> tuple[RecordFault | None, FloatArray] | None:
-    """Look for the change at one point; also where the parameters would go with the best."""
+    """Search for the change at one point, and return the parameter step with the best change.
+
+    None if the record cannot be simulated, or if the model fits it.
+    """
     run, others = fitted.runs[left.position], _others(fitted, left)
     found = fitted.sensitivities(left.position, whole, x)
     if found is None:
@@ -176,14 +180,14 @@ def _searched(
 
 
 def _per_output(run: Experiment, others: list[Experiment], noise: FloatArray) -> FloatArray:
-    """Noise of each residual of a record."""
+    """Return the noise of each residual of a record."""
     sizes = _noise_of(run, others, noise)
     parts = [np.full(len(o.times), size) for o, size in zip(run.outputs, sizes, strict=True)]
     return np.concatenate(parts)
 
 
 def _noise_of(run: Experiment, others: list[Experiment], noise: FloatArray) -> FloatArray:
-    """Noise of the outputs of one record, from that of the outputs of the others."""
+    """Return the noise of the outputs of one record, from the noise in the other records."""
     names = list(dict.fromkeys(o.variable for each in others for o in each.outputs))
     return np.array([noise[names.index(o.variable)] for o in run.outputs])
 
@@ -197,9 +201,9 @@ def _rows_of(runs: list[Experiment], noise: FloatArray) -> FloatArray:
 
 
 class _Projected:
-    """Residuals of a record over the noise, less what the parameters could follow.
+    """Residuals of a record over the noise, without the part that parameters can explain.
 
-    The parameters could follow as far as the other records let them: those stand below.
+    The other records restrict the parameters, so their residuals follow those of the record.
     """
 
     def __init__(self, matrix: FloatArray, own: FloatArray, others: FloatArray) -> None:
@@ -210,7 +214,7 @@ class _Projected:
         return self._projection.remove(np.concatenate([residuals / self._own, self._others]))
 
     def step(self, residuals: FloatArray) -> FloatArray:
-        """Return where the parameters would go, to first order."""
+        """Return the change of the parameters that reduces the residuals most, to first order."""
         stacked = np.concatenate([residuals / self._own, self._others])
         sizes = np.linalg.norm(self._matrix, axis=0)
         sizes[~(sizes > 0.0)] = 1.0
@@ -232,7 +236,7 @@ def _projection(
 
 
 def _known_starts(fitted: FittedRecords, run: Experiment) -> tuple[tuple[str, float], ...]:
-    """States of a record whose initial value is no unknown, with that value."""
+    """Return the states of a record whose initial value is not estimated, with this value."""
     description = fitted.problem.describe()
     taken = {p.target for p in fitted.problem.parameters}
     values, found = dict(run.values), []
@@ -251,7 +255,7 @@ def _best(
     before: float,
     level: Callable[[FloatArray], float],
 ) -> RecordFault | None:
-    """Return the plainest of the changes that explain most, if the record then fits."""
+    """Return the first (in `PLAINEST`) of the best changes, if the model then fits the record."""
     known = [c for c in changes if np.isfinite(c.left)]
     if not known:
         return None
@@ -263,7 +267,7 @@ def _best(
         after = level(change.residuals)
         fault = None if after > AT_NOISE else as_fault(run, change, before, after)
         if fault is None:
-            return None  # what explains as much is no fault of a record
+            return None  # an equally good change is not a fault of a record
         faults.append(fault)
     faults.sort(key=lambda each: PLAINEST.index(each.kind))
     first = faults[0]
@@ -275,10 +279,10 @@ def _best(
 def as_fault(
     run: Experiment, change: MendedRecord, before: float, after: float
 ) -> RecordFault | None:
-    """Return a change in words; None for one that is too small to be a fault."""
+    """Return a change as a fault; None if it is too small to be a fault."""
     kind, size, unit = change.kind, change.size, ""
     if change.factor == 0.0:
-        return None  # a column that says nothing is no column with a wrong gain
+        return None  # a gain of 0 would remove the column, so it is not a wrong gain
     if kind in ("gain", "offset", "unit"):
         signals = run.inputs if change.sort == "inputs" else run.outputs
         values = next(s.values for s in signals if s.variable == change.variables[0])

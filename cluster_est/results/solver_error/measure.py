@@ -1,4 +1,4 @@
-"""The error of a solver's step at the end of a fit: the same experiments, with half the step."""
+"""Measures the error of a solver's step after a fit, by simulations with half the step."""
 
 from __future__ import annotations
 
@@ -22,26 +22,25 @@ from cluster_est.running.runner import Runner
 from workers.messages import Experiment, FloatArray, Outcome, Output, ResetPolicy, Solver, Want
 
 MOST_EXPERIMENTS = 8
-"""Experiments that are simulated again; of more, every n-th."""
+"""Largest number of experiments that are simulated again; if there are more, every n-th is used."""
 NOTICED = 0.1
-"""Share of what is left, or of the sigma, above which an error of the solver is said."""
+"""Ratio of the solver error to the residual, and to sigma, above which the error is reported."""
 FAINT_SOLVER_ERROR = 1e-3
-"""Share of a signal's spread below which nothing is said where no sigma is given."""
+"""Ratio of the solver error to a signal's standard deviation up to which the error is not reported
+if no sigma is given."""
 
 
 @dataclass(frozen=True)
 class OutputSolverError:
-    """The error that a solver makes in one output, over the experiments that were simulated again.
+    """The solver error in one output, over the experiments that were simulated again.
 
     Attributes
     ----------
-    output
-        Its name.
     over_residual, over_spread
-        Root mean square of the error over that of the residual, and over the spread of what was
-        measured.
+        Root mean square of the error, over that of the residual, and over the standard deviation of
+        the measured signal.
     over_sigma
-        Over the sigma; NaN where none is given.
+        Root mean square of the error over sigma; NaN if no sigma is given.
     """
 
     output: str
@@ -51,7 +50,7 @@ class OutputSolverError:
 
     @property
     def noticed(self) -> bool:
-        """Whether it may have moved the estimates by more than noise does."""
+        """Whether the error may have changed the estimates by more than noise does."""
         if np.isfinite(self.over_sigma):
             return self.over_sigma > NOTICED and self.over_residual > NOTICED
         return self.over_residual > NOTICED and self.over_spread > FAINT_SOLVER_ERROR
@@ -59,16 +58,18 @@ class OutputSolverError:
 
 @dataclass(frozen=True)
 class SolverError:
-    """The error of a solver's step at the estimates, taken as first order: twice what half does.
+    """The error of a solver's step at the estimates, for a method of first order.
+
+    It is twice the change that half the step causes.
 
     Attributes
     ----------
     scale
-        The step.
+        The setting that determines the step.
     experiments
-        How many were simulated again.
+        Number of experiments that were simulated again.
     outputs
-        The error of each.
+        The errors of the outputs.
     """
 
     scale: SolverScale
@@ -77,7 +78,7 @@ class SolverError:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """A sentence where the error is not small beside what the fit has left."""
+        """A sentence if the error is not small compared with the residual of the fit."""
         noticed = [output for output in self.outputs if output.noticed]
         if not noticed:
             return ()
@@ -92,7 +93,7 @@ class SolverError:
 
 
 def solver_facts(error: SolverError | None) -> dict[str, Any] | None:
-    """Return what run.json says of it; None where it was not measured."""
+    """Return the entry of run.json on the solver error; None if it was not measured."""
     if error is None:
         return None
     return {
@@ -109,29 +110,30 @@ def measure_solver_error(
     resources: Resources,
     runner: Runner,
 ) -> SolverError | None:
-    """Simulate training experiments again with half the step, where a fit stands.
+    """Simulate training experiments at the estimates again, with half the step.
 
-    Only where a step decides how exact a simulation is: communication steps of an FMU, which may
-    integrate with steps as long as those, and "rk4". Solvers with a tolerance keep it themselves.
-    The simulations run one after the other in a process of their own, and are not logged: a log is
-    of one solver. By L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357,
-    doi:10.1098/rsta.1911.0009, an error of first order is twice what half a step changes.
+    This is done only if a step size determines the accuracy: for "rk4", and for the communication
+    step of an FMU, which may integrate with steps of the same length. Solvers with a tolerance
+    control their error themselves. The simulations run one after the other in a separate process.
+    They are not logged, because a log is for only one solver. An error of first order is twice the
+    change that half the step causes (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357,
+    doi:10.1098/rsta.1911.0009).
 
     Parameters
     ----------
     space, solution
-        Of the training experiments.
+        Search space of the training experiments, and the fit's solution.
     simulations
-        Of every experiment of the problem at the estimates, with trajectories.
+        Simulations of all experiments at the estimates, with trajectories.
     resources
-        For the limits of a simulation, and of instances.
+        Limits of a simulation and of FMU instances.
     runner
-        Of the fit, whose workers may still be there.
+        Runner of the fit, whose workers may still exist.
 
     Returns
     -------
     SolverError or None
-        None where no step decides, or where the finer one fails.
+        None if no step size determines the accuracy, or if the finer simulation fails.
     """
     problem = space.problem
     if problem.model.solver.name not in ("fmu", "rk4"):
@@ -158,7 +160,7 @@ def measure_solver_error(
 
 
 def positions_of_few(experiments: int) -> list[int]:
-    """Return which of some experiments are simulated once more: all, or every n-th."""
+    """Return the positions of the experiments that are simulated again: all, or every n-th."""
     return list(range(0, experiments, max(1, -(-experiments // MOST_EXPERIMENTS))))
 
 
@@ -172,34 +174,34 @@ def simulate_with_solver(
     *,
     beside: Runner | None,
 ) -> list[Outcome]:
-    """Simulate experiments with another solver, in a process of their own where there are such.
+    """Simulate experiments with another solver, in a separate process if the system allows it.
 
-    They are not logged.
+    The simulations are not logged.
 
     Parameters
     ----------
     problem
-        Its model and effects are simulated.
+        Gives the model and the effects.
     runs
-        Of its experiments.
+        Experiments of the problem.
     values : (runs, parameters)
         Physical values of the model's parameters.
     solver, want
-        How, and what for.
+        The solver, and the kind of result.
     resources
-        For the limits of a simulation, and of instances.
+        Limits of a simulation and of FMU instances.
     beside
-        Whose first worker lets its instance go before, where their number is limited; None where
-        no workers are there yet.
+        Runner whose first worker frees its instance first, if the number of instances is limited;
+        None if there are no workers yet.
 
     Raises
     ------
     ClusterEstError
         If no process can be started, or the FMU cannot be loaded.
     """
-    # what a simulation leaves behind must not look like an error of the solver
+    # an incomplete reset of the FMU must not look like an error of the solver
     reset: ResetPolicy = "instance" if problem.model.reset == "auto" else problem.model.reset
-    if resources.instances is not None and beside is not None:  # and instances are expensive
+    if resources.instances is not None and beside is not None:  # instances are then expensive
         reset = beside.free_instances(1)
     model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")
@@ -212,7 +214,7 @@ def simulate_with_solver(
 def _of_output(
     name: str, runs: Sequence[Experiment], usual: Sequence[Outcome], finer: Sequence[Outcome]
 ) -> OutputSolverError | None:
-    """The error of one output; None where it could not be simulated."""
+    """Return the error of one output; None if it could not be simulated."""
     errors, residuals, values, given = [], [], [], []
     for run, before, after in zip(runs, usual, finer, strict=True):
         for output in run.outputs:
@@ -236,9 +238,9 @@ def _of_output(
 
 
 def _centred(output: Output) -> FloatArray:
-    """The measured signal around its mean, over its sigma.
+    """Return the measured signal minus its mean, over its sigma.
 
-    Grades have no such size; what they are compared with is over its spread already.
+    Ordinal grades have no such size; the signal that is compared with them is already scaled.
     """
     if output.ordinal:
         return np.full(len(output.values), 1.0 / output.sigma)

@@ -1,1 +1,1 @@
-"""What is noise in a record, and how large it is."""
+"""The noise and the outliers of records."""

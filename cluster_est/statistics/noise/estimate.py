@@ -1,4 +1,4 @@
-"""The measurement noise, estimated from a residual that still has structure in it."""
+"""Estimates the measurement noise from a residual that still has structure."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.messages import FloatArray, IntArray
 
 WHOLE_NUMBER_TOLERANCE = 0.01
-"""Distance from a whole number, in steps, that the rounding of a table's digits may leave."""
+"""Largest distance from a whole number of steps that the rounding of a table may cause."""
 
 AGREEING = 4
-"""Gaps that must be whole steps where hardly a value repeats: those of values that were not rounded
-all come so close to whole numbers with a probability of (2 * 0.01)^4, about 2e-7."""
+"""Number of gaps that must be whole steps if few values repeat. For values that were not rounded,
+the probability that all gaps are so close to whole numbers is (2 * 0.01)^4, about 2e-7."""
 
 SHARE_OF_REPEATED_VALUES = 0.5
-"""Share of samples that repeat a value beyond which one gap is enough: noise in a double never
-repeats one."""
+"""Share of repeated values above which one gap is enough, because noise in double precision never
+repeats a value."""
 
 
 def quantisation_step(values: FloatArray) -> float:
-    """Return the step of which all differences of a signal are whole multiples; 0 without one.
+    """Return the quantisation step of a signal; 0 if it is not quantised.
 
-    Use it on what was measured, not on a residual: what was simulated is not rounded. An offset
-    does not matter. A quantised signal has an error of its own, step / sqrt(12) where it moves
-    across several steps (B. Widrow, I. Kollar, M.-C. Liu, IEEE Trans. Instrum. Meas. 45 (1996)
-    353-361, doi:10.1109/19.492748).
+    All differences of the signal are whole multiples of this step. Use the function for measured
+    signals, not for residuals, because simulated values are not rounded. An offset does not matter.
+    A quantised signal has an error of step / sqrt(12) if it moves across several steps (B. Widrow,
+    I. Kollar, M.-C. Liu, IEEE Trans. Instrum. Meas. 45 (1996) 353-361, doi:10.1109/19.492748).
 
     Parameters
     ----------
     values : (n,)
-        Of one sensor, in any order.
+        Values of one sensor, in any order.
 
     Returns
     -------
     float
-        In the unit of `values`. The smallest gap between two values, if all gaps are multiples.
+        The smallest gap between two values, if all gaps are multiples of it; in their unit.
     """
     levels = np.unique(values)
     if len(levels) < 2:
@@ -49,7 +49,7 @@ def quantisation_step(values: FloatArray) -> float:
     gaps = gaps[gaps > rounding]
     if not len(gaps):
         return 0.0
-    # the median of the smallest ones: each of them has the rounding of two values
+    # the median of the smallest gaps, because each gap contains the rounding errors of two values
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     steps = gaps / step
     whole = np.abs(steps - np.rint(steps)) <= WHOLE_NUMBER_TOLERANCE + 2.0 * rounding / step * steps
@@ -60,68 +60,68 @@ def quantisation_step(values: FloatArray) -> float:
 
 
 SHORTEST_NOISE_RECORD = 10
-"""Samples that a record needs; fewer give too few differences for a median."""
+"""Least number of samples of a record; with fewer, there are too few differences for a median."""
 
 MEDIAN_OF_NORMAL = 0.6745
-"""Median of |x| where x is normal with variance 1."""
+"""Median of |x| for a normal x with variance 1."""
 
 NOISE_DIFFERENCE_ORDER = 4
-"""Order of the differences: what is cubic over five samples leaves nothing."""
+"""Order of the differences; they remove everything that is cubic over five samples."""
 
 HIGHER = (4, 6, 8)
-"""Orders that are compared where the signal moves: white noise has the same size in all of them,
-and structure with more than six samples a period less in each than in the one before."""
+"""Orders that are compared where the signal moves. With white noise, all orders give the same
+estimate. With structure of more than six samples per period, higher orders give smaller ones."""
 
 BLOCK = 32
-"""Samples of a block that is at rest or moves: enough for its range to say which."""
+"""Samples of a block; enough to decide from its range whether the signal moves or is at rest."""
 
 MOVES = 0.5
-"""Share of the mean range of all blocks from which a block counts as one that moves."""
+"""Share of the mean range of all blocks above which the signal moves in a block."""
 
 SURE = 4.0
-"""Standard errors by which the noise in motion must exceed that of the whole record to take its
-place: on white noise that happens in 3 of 100,000 records."""
+"""Number of standard errors by which the noise in motion must exceed that of the whole record to
+replace it. With white noise, this happens in 3 of 100,000 records."""
 
 SCATTER = 1.9
-"""Standard error of an estimate from n differences of order 8, times sqrt(n); 1.6 at order 4."""
+"""Relative standard error of an estimate from n differences of order 8, times sqrt(n); for order 4
+it would be 1.6."""
 
 
 def estimate_noise(
     residuals: FloatArray, records: StackedRecords, measured: FloatArray | None = None
 ) -> FloatArray:
-    """Standard deviation of the noise of each output, from fourth differences.
+    """Return the standard deviation of each output's noise, from fourth differences.
 
-    A fourth difference removes what is smooth over five samples (every cubic exactly) and leaves
-    the noise, enlarged by a known factor: sigma = median|d4 r| / 0.6745 / sqrt(70), where 70 is
+    A fourth difference removes everything that is smooth over five samples (cubics exactly). The
+    noise remains, enlarged by a known factor: sigma = median|d4 r| / 0.6745 / sqrt(70), where 70 is
     the number of ways to choose 4 of 8. The median ignores the few differences across a jump.
-    Differences for variances go back to J. von Neumann, Ann. Math. Statist. 12 (1941) 367-395,
-    doi:10.1214/aoms/1177731677.
+    Estimates of variances from differences go back to J. von Neumann, Ann. Math. Statist. 12 (1941)
+    367-395, doi:10.1214/aoms/1177731677.
 
-    A sensor may be silent while its signal rests, and noisy while it moves. So the same is
-    estimated where the signal moves, and takes the place of the first estimate where it is
-    larger by more than chance: a residual is compared with the noise of a moving signal. A
-    quantised signal has an error of step / sqrt(12) at least (see `quantisation_step`), and its
-    differences are multiples of the step: the median is that of these differences plus an even
-    spread over one step, whose known variance is subtracted.
+    A sensor may have little noise while its signal is at rest, and more while it moves. So a second
+    estimate uses only the samples where the signal moves. It replaces the first one if it is larger
+    by more than chance. A quantised signal has an error of at least step / sqrt(12)
+    (`quantisation_step`), and its differences are multiples of the step. So a uniform distribution
+    over one step is added before the median is taken, and its known variance is subtracted.
 
-    Use it where the model may be wrong: the rms of the residual then measures the misfit, this
-    does not. Do not where the noise is coloured, which is smooth too: the estimate is too small
-    (for an AR(1) of 0.9 a fifth of the truth), as it is of a signal that was filtered.
+    Use the function if the model may be wrong: unlike the rms of the residual, the estimate does
+    not contain the misfit. Do not use it for coloured noise or filtered signals, which are also
+    smooth: the estimate is then too small (for an AR(1) with 0.9, a fifth of the true value).
 
     Parameters
     ----------
     residuals : (n,)
-        Stacked.
+        Residuals of all records.
     measured : (n,)
-        The measured signals in the units of `residuals`, in the same order: they tell motion from
-        rest and have the steps of quantisation. None if they are unknown.
+        The measured signals in the units and order of `residuals`, from which motion and
+        quantisation steps are found. None if they are not known.
 
     Returns
     -------
     (outputs,)
-        In the units of `residuals`. Records are pooled by their squares, weighted with their
-        lengths; those under 10 samples count only where an output has no longer one, and then by
-        their rms. NaN for an output without samples.
+        In the units of `residuals`. The variances of records are averaged with the numbers of
+        samples as weights. Records with fewer than 10 samples count only if an output has no longer
+        record, and then with their rms. NaN for an output without samples.
     """
     return np.array(
         [
@@ -171,7 +171,7 @@ def _pooled(variances: Sequence[float], weights: Sequence[FloatArray]) -> float:
 def _in_motion(
     pairs: Sequence[tuple[FloatArray, float]], measured: Sequence[FloatArray], whole: float
 ) -> float:
-    """The noise where the signal moves, if it exceeds that of the whole record; 0 otherwise."""
+    """Return the noise where the signal moves, if it exceeds that of the whole record; else 0."""
     moving = moving_samples(measured)
     estimates = []
     for order in HIGHER:
@@ -193,14 +193,11 @@ def _in_motion(
 
 
 def moving_samples(measured: Sequence[FloatArray]) -> list[npt.NDArray[np.bool_]]:
-    """For each signal of one sensor, in which samples it moves.
+    """Return, for each signal of one sensor, a mask of the samples in which it moves.
 
-    Parameters
-    ----------
-    measured
-        Signals in the same unit. A signal is cut into blocks; one whose middle 80 % reach over
-        half the mean of all blocks moves. So what moves all the time, or is nothing but noise,
-        moves in most of its blocks.
+    Signals are cut into blocks. A signal moves in a block if the range of the middle 80 % of the
+    block's values exceeds half the mean range of all blocks. So a signal that always moves, or that
+    is only noise, moves in most of its blocks. All signals must have the same unit.
     """
     parts = [_block_ranges(signal) for signal in measured]
     least = MOVES * float(np.mean(np.concatenate([ranges for ranges, _ in parts])))
@@ -208,9 +205,9 @@ def moving_samples(measured: Sequence[FloatArray]) -> list[npt.NDArray[np.bool_]
 
 
 def _block_ranges(signal: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Over how much the middle 80 % of each block reach, and the samples of each block.
+    """Return the range of the middle 80 % of each block, and the number of samples of each block.
 
-    Blocks are of two lengths, the longer ones first, and all of a length are looked at together.
+    Blocks have two lengths, the longer ones first. All blocks of a length are computed together.
     """
     count = max(1, len(signal) // BLOCK)
     length, longer = divmod(len(signal), count)
@@ -226,19 +223,19 @@ def _block_ranges(signal: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _variance(differences: FloatArray, order: int, step: float = 0.0) -> float:
-    """The variance of the noise whose differences these are."""
+    """Return the variance of the noise from its differences."""
     gain = comb(2 * order, order)
     if step > 0.0:
         spread = _dithered_median(differences, step) / MEDIAN_OF_NORMAL
         return max(spread**2 - step**2 / 12.0, 0.0) / gain
     spread = float(np.median(np.abs(differences))) / MEDIAN_OF_NORMAL
-    # coarsely quantised data repeat their values, and more than half of the differences are 0
+    # coarsely quantised data repeat values, so more than half of the differences may be 0
     square = spread**2 if spread > 0.0 else float(np.mean(differences**2))
     return square / gain
 
 
 def _dithered_median(differences: FloatArray, step: float) -> float:
-    """Median of |d + u|, where u is spread evenly over one step about 0."""
+    """Return the median of |d + u|, where u is uniform over one step around 0."""
     low, high = 0.0, float(np.abs(differences).max()) + step
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -11,16 +11,16 @@ from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
 GROWTH_DIFFERENCE_ORDER = 6
-"""Order of the differences, from which the misfit of a wrong model has all but gone."""
+"""Order of the differences; they contain almost nothing of the misfit of a wrong model."""
 
 
 MEDIAN_OF_SQUARE = 1.0 / 0.4549
-"""A mean over the median, of the square of normal noise."""
+"""Ratio of mean to median of the square of normal noise."""
 CLIPPED, CLIPPED_MEAN = 4.0, 0.9205
-"""Times its expectation that a squared difference counts at most, as an outlier's would, and the
-mean of the square of normal noise that is cut off there."""
+"""Upper limit of a squared difference, over its expectation, which reduces the influence of
+outliers; mean of the square of normal noise with this limit."""
 LEAST_NOISE_RATIO = 0.1
-"""Part of the noise of the smallest samples that any sample has at least, however close to 0."""
+"""Least noise of each sample, even near 0, as a share of the noise of the smallest samples."""
 MOST_GROWTH_ITERATIONS = 20
 
 
@@ -31,9 +31,9 @@ class NoiseGrowth:
     Attributes
     ----------
     p
-        Of a rank correlation of at least this size where the noise is the same everywhere.
+        p-value of the rank correlation, for constant noise.
     quiet, loud
-        Noise of the third of the samples with the smallest signal, and with the largest.
+        Noise of the third of the samples with the smallest signal, and of that with the largest.
     constant, part
         a and b of the standard deviation sqrt(a^2 + (b size)^2).
     """
@@ -46,23 +46,24 @@ class NoiseGrowth:
 
 
 def noise_growth(residuals: FloatArray, measured: FloatArray) -> NoiseGrowth:
-    """Test whether the size of the noise follows that of the signal.
+    """Test whether the noise grows with the size of the signal.
 
-    The noise at a sample is taken from the sixth difference about it, because the residual of a
-    wrong model is large where the signal is, too. Differences that share samples are not
-    independent, so every seventh is compared with the size of the signal there, by ranks (C.
-    Spearman, Am. J. Psychol. 15 (1904) 72-101, doi:10.2307/1412159). That size is of what was
-    measured, smoothed by binomial weights, of which the difference is all but independent.
+    The noise at a sample is estimated by the sixth difference around it, because the residual of a
+    wrong model may also be large where the signal is large. Differences that share samples are not
+    independent, so only every seventh one is used. Its rank correlation with the size of the signal
+    is tested (C. Spearman, Am. J. Psychol. 15 (1904) 72-101, doi:10.2307/1412159). The size is that
+    of the measured signal, smoothed with binomial weights, so that it is almost independent of the
+    difference.
 
     Parameters
     ----------
     residuals, measured : (n,)
-        Of a record in the order of time, or several behind each other.
+        Signals of one record in the order of time, or of several records one after the other.
 
     Returns
     -------
     NoiseGrowth
-        With p = 1 and NaN where fewer than nine differences are left, or nothing varies.
+        With p = 1 and NaN if there are fewer than nine differences, or if nothing varies.
     """
     nothing = NoiseGrowth(1.0, *[float("nan")] * 4)
     if len(residuals) <= GROWTH_DIFFERENCE_ORDER:
@@ -74,7 +75,7 @@ def noise_growth(residuals: FloatArray, measured: FloatArray) -> NoiseGrowth:
     ]
     if len(noise) < 9 or not np.ptp(noise) > 0.0 or not np.ptp(centre) > 0.0:
         return nothing
-    from scipy.stats import spearmanr  # slow to import, and no plain fit asks for it
+    from scipy.stats import spearmanr  # slow to import, and a plain fit does not need it
 
     found = spearmanr(noise, centre, alternative="greater")
     order = np.argsort(centre, kind="stable")
@@ -98,14 +99,14 @@ def _smoothed_size(measured: FloatArray) -> FloatArray:
 
 
 def _parts(residuals: FloatArray, size: FloatArray) -> tuple[float, float]:
-    """The two parts of the noise, by weighted least squares of the squared sixth differences.
+    """Return the two parts of the noise: weighted least squares for squared sixth differences.
 
-    The expectation of each is the mean of a^2 + (b size)^2 over its seven samples, with the squares
-    of the binomial coefficients as weights, and its variance is in proportion to the square of that
-    (M. Davidian, R. J. Carroll, J. Am. Stat. Assoc. 82 (1987) 1079-1091,
+    The expectation of a squared difference is the mean of a^2 + (b size)^2 over its seven samples,
+    weighted with the squares of the binomial coefficients. Its variance is proportional to the
+    square of this expectation (M. Davidian, R. J. Carroll, J. Am. Stat. Assoc. 82 (1987) 1079-1091,
     doi:10.1080/01621459.1987.10478543).
     """
-    from scipy.optimize import nnls  # slow to import, and no plain fit asks for it
+    from scipy.optimize import nnls  # slow to import, and a plain fit does not need it
 
     weights = np.array(
         [comb(GROWTH_DIFFERENCE_ORDER, k) ** 2 for k in range(GROWTH_DIFFERENCE_ORDER + 1)]

@@ -1,4 +1,4 @@
-"""Isolated outliers of a record: single samples that nothing before or after them explains."""
+"""Isolated outliers of a record: single samples that do not fit the samples around them."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
 PREDICTING_NEIGHBOURS = 5
-"""Samples on each side that predict one."""
+"""Number of samples on each side that predict a sample."""
 
 AROUND = 25
-"""Samples on each side that its noise is estimated from, besides that of the whole record."""
+"""Number of samples on each side from which the local noise of a sample is estimated."""
 
 FIRST_OUTLIER_DISTANCE = 4.5
-"""Distance, in standard deviations of a prediction, of the first outliers of a record. All three
-predictions must miss as far on the same side: white noise does that 3 times in 100 million."""
+"""Least distance of the first outliers of a record, in standard deviations of a prediction. All
+three predictions must be that far away on the same side. In white noise, this happens for 3 of 100
+million samples."""
 
 FAR_AGAIN = 3.5
-"""Distance, in standard deviations of a prediction, of further outliers in a record that has
-`PROVEN` already: what is common there needs less evidence, nor need the lines agree, which another
-outlier may have bent."""
+"""Least distance of further outliers in a record that already has `PROVEN` outliers. Outliers are
+then common, so less evidence is required. The two lines need not agree, because another outlier may
+have changed them."""
 
 PROVEN = 2
-"""Outliers beyond `FIRST_OUTLIER_DISTANCE` that say that a record has some."""
+"""Number of outliers beyond `FIRST_OUTLIER_DISTANCE` that proves that a record has outliers."""
 
 AGREE = 1.0 / 3.0
-"""Share of its distance by which what is before an outlier and what is after may disagree: after
-the event of a mechanism a signal goes on from somewhere else."""
+"""Largest difference of the predictions from before and after an outlier, over its distance. After
+a physical event, in contrast, the signal continues at another value."""
 
 PASSES = 20
-"""Rounds at most; each may uncover what a larger outlier has hidden."""
+"""Largest number of passes; each may find outliers that a larger outlier has hidden."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,9 @@ class IsolatedOutliers:
     Attributes
     ----------
     mask : (n,)
-        True where a sample is one.
+        True for outliers.
     largest
-        Distance of the farthest, over the noise; 0 without any.
+        Largest distance of an outlier, over the noise; 0 without outliers.
     """
 
     mask: npt.NDArray[np.bool_] = field(repr=False)
@@ -60,32 +61,31 @@ def isolated_outliers(
     proven: bool = False,
     excepted: npt.NDArray[np.bool_] | None = None,
 ) -> IsolatedOutliers:
-    """Find single samples far from what their neighbours say, whatever the smooth course is.
+    """Find single samples that are far from predictions by their neighbours.
 
-    Three predictions of each sample are made: from a line through five samples before it, a line
-    through five after it, and a cubic through two on each side. An outlier is far from all three,
-    on the same side, and the two lines agree. So none of these is one: the edge of a jump and a
-    kink (on a line), a curve (on the cubic), a peak that decays (the lines disagree), two high
-    samples in a row. An outlier is replaced by the cubic, and what is left is looked at again.
-    Far is measured as the Hampel identifier does, by a median of absolute deviations in a window,
-    or by the noise of the whole record where that is larger (R. K. Pearson, IEEE Trans. Control
-    Syst. Technol. 10 (2002) 55-63, doi:10.1109/87.974338); cleaning while searching follows H. Liu,
-    S. Shah, W. Jiang, Comput. Chem. Eng. 28 (2004) 1635-1647,
-    doi:10.1016/j.compchemeng.2004.01.009.
+    Each sample is predicted by a line through five samples before it, by a line through five
+    samples after it, and by a cubic through two samples on each side. An outlier is far from all
+    three predictions, on the same side, and the two lines agree. So these are not outliers: the
+    edge of a jump or a kink (on a line), a curve (on the cubic), a peak that decays (the lines
+    disagree), and two high samples in a row. An outlier is replaced by the cubic, and the search is
+    repeated (H. Liu, S. Shah, W. Jiang, Comput. Chem. Eng. 28 (2004) 1635-1647,
+    doi:10.1016/j.compchemeng.2004.01.009). Distances are relative to the median absolute deviation
+    in a window, as in the Hampel identifier, or to the noise of the whole record if that is larger
+    (R. K. Pearson, IEEE Trans. Control Syst. Technol. 10 (2002) 55-63, doi:10.1109/87.974338).
 
-    Use it on the residual of a fit, evenly sampled. The first and the last two samples are never
-    outliers, nor is one of a pair on the same side.
+    Use the function for the evenly sampled residual of a fit. The first and the last two samples
+    are never outliers, and neither are two neighbours on the same side.
 
     Parameters
     ----------
     signal : (n,)
-        A record; with fewer than 11 samples it has no outliers.
+        A record; with fewer than 11 samples, it has no outliers.
     noise
-        Standard deviation of its noise; where it is 0 or unknown there are no outliers.
+        Standard deviation of the noise; if it is 0 or unknown, there are no outliers.
     proven
-        Other records of the same sensor have outliers; `PROVEN` in this one say the same.
+        Whether other records of the same sensor have outliers, as if this one had `PROVEN`.
     excepted : (n,)
-        Samples that are never outliers, because something is known to happen there.
+        Samples that are never outliers, because an event is known there.
     """
     cleaned = np.array(signal, np.float64)
     mask = np.zeros(len(cleaned), bool)
@@ -109,7 +109,7 @@ def isolated_outliers(
 
 
 def _peaks(score: FloatArray, away: FloatArray, far: float) -> npt.NDArray[np.intp]:
-    """Samples beyond the threshold from whose cubic no neighbour is farther away."""
+    """Return the samples above the threshold that are farther from their cubic than neighbours."""
     near = np.lib.stride_tricks.sliding_window_view(np.pad(away, 2), 5).max(axis=1)
     return np.flatnonzero((score > far) & (away >= near))
 
@@ -117,17 +117,17 @@ def _peaks(score: FloatArray, away: FloatArray, far: float) -> npt.NDArray[np.in
 def _scores(
     signal: FloatArray, cleaned: FloatArray, noise: float, *, agreeing: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance of each sample from the nearest prediction, the cubic, and the distance from it.
+    """Return distances from the nearest prediction, the cubic, and the distances from the cubic.
 
-    Distances are over the standard deviation of the prediction's error, the last one over the
-    noise. They are 0 where there is no prediction, where predictions lie on both sides, or, if
-    `agreeing`, where the two lines contradict each other.
+    The first distances are over the standard deviation of the prediction's error, the last ones
+    over the noise. The first are 0 if there is no prediction, if predictions lie on both sides, or,
+    with `agreeing`, if the two lines disagree.
     """
     before, width = _line_before(cleaned)
     after, width_after = (part[::-1] for part in _line_before(cleaned[::-1]))
     cubic = cleaned.copy()
     cubic[2:-2] = (4.0 * (cleaned[1:-3] + cleaned[3:-1]) - cleaned[:-4] - cleaned[4:]) / 6.0
-    gain = np.sqrt(70.0) / 6.0  # of a fourth difference, which this is a sixth of
+    gain = np.sqrt(70.0) / 6.0  # the distance from the cubic is a sixth of a fourth difference
     scale = _scale(np.abs(cleaned - cubic)[2:-2] / gain, noise)
     off = np.array([signal - before, signal - after, signal - cubic])
     widths = scale * np.array([width, width_after, np.full(len(signal), gain)])
@@ -144,16 +144,17 @@ def _scores(
 
 
 def _scale(deviations: FloatArray, noise: float) -> FloatArray:
-    """The noise around each sample, never less than that of the whole record."""
+    """Return the noise around each sample, which is at least that of the whole record."""
     padded = np.pad(deviations, 2 + AROUND, mode="symmetric" if len(deviations) else "constant")
     local = median_filter(padded, 2 * AROUND + 1)[AROUND:-AROUND] / MEDIAN_OF_NORMAL
     return np.asarray(np.maximum(noise, local))
 
 
 def _line_before(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A prediction of each sample by a line through up to five before it, and its error's width.
+    """Predict each sample by a line through up to five samples before it.
 
-    The width is over the noise. The first two samples, which have none, predict themselves.
+    Also return the standard deviation of the prediction's error, over the noise. The first two
+    samples have no prediction; their own values are returned.
     """
     predicted, width = signal.copy(), np.ones(len(signal))
     for count in range(2, PREDICTING_NEIGHBOURS + 1):

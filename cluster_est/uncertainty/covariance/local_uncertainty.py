@@ -1,4 +1,4 @@
-"""The uncertainty of estimates from derivatives, with directions that the data do not determine."""
+"""The uncertainty of estimates from derivatives, and directions that the data do not determine."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ from workers.messages.types import by_content
 
 Kind = Literal["undetermined", "weak", "no effect"]
 RATIO_TOLERANCE = 0.02
-"""Ratios within this of 1 count as 1 in a sentence."""
+"""Distance from 1 up to which a ratio counts as 1 in a sentence."""
 NAMED = 1e-3
-"""Part of the largest relative change: what moves less is not named."""
+"""Share of the largest relative change; unknowns that change less are not named."""
 MOST_NAMED_CHANGES = 6
 
 
 @dataclass(frozen=True)
 class UndeterminedDirection:
-    """Unknowns that the data determine only together, or not at all.
+    """Unknowns of which the data determine only a combination, or nothing.
 
     Attributes
     ----------
     labels
-        Of the unknowns, in their order.
+        Labels of the unknowns, in the order of the search space.
     weights
-        Change of each, in its own unit, for each 1 of the first.
+        Change of each unknown, in its own unit, if the first one changes by 1.
     relative
-        Change of each as a part of its estimate, for each 1 of the first; NaN where one is about 0.
+        Change of each unknown relative to its estimate, if the first one changes by 1; NaN for an
+        estimate of about 0.
     ratio
-        Change of the residuals along it, over the changes by each unknown on its own. It contains
-        an error of the derivatives, `limit`.
+        Change of the residuals along the direction, over the changes by each single unknown. It
+        contains an error of the derivatives of about `limit`.
     limit
-        A smaller ratio cannot be distinguished from 0.
+        Ratio below which the change of the residuals cannot be distinguished from 0.
     kind
         "undetermined", "weak" (not much above the limit) or "no effect" (of one unknown).
     sentence
-        For a person.
+        Description in words.
     """
 
     labels: tuple[str, ...]
@@ -55,10 +56,10 @@ class UndeterminedDirection:
 
 
 def sparse_basis(vectors: FloatArray, tolerance: float) -> FloatArray:
-    """Return (k, unknowns): vectors of the same span, each with few unknowns.
+    """Return vectors with the same span that contain few unknowns each: (k, unknowns).
 
-    Several undetermined directions come out of a decomposition mixed. Each vector here has one
-    unknown to itself.
+    A decomposition mixes several undetermined directions. Here, each vector has one unknown that no
+    other vector contains.
     """
     if not len(vectors):
         return vectors
@@ -84,13 +85,13 @@ def direction(
     Parameters
     ----------
     space, x
-        The space and the point.
+        The search space, and the point.
     move : (unknowns,)
         The direction in search coordinates.
     ratio, limit
         See `UndeterminedDirection`.
     undetermined
-        True if the data do not determine it at all.
+        Whether the data do not determine the direction at all.
     """
     values = np.array(list(space.estimates(x).values()))
     shift = np.where(space.logarithmic, values * move, move)
@@ -130,7 +131,7 @@ def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, 
 def _how(
     labels: Sequence[str], weights: FloatArray, relative: FloatArray, grow: str, grows: str
 ) -> str:
-    """Say how the unknowns move together, with the verb for several and for one of them."""
+    """Say how the unknowns change together; `grow` and `grows` are the plural and singular verb."""
     if np.all(np.abs(relative - 1.0) <= RATIO_TOLERANCE):
         return f"{'both' if len(labels) == 2 else 'all of them'} {grow} by the same factor"
     if len(labels) == 2 and abs(relative[1] + 1.0) <= RATIO_TOLERANCE:
@@ -147,7 +148,7 @@ def _how(
 
 
 def joined(words: Sequence[str]) -> str:
-    """Return words as a sentence lists them, only so many of them."""
+    """Return words as a list in a sentence, which is cut off if it is long."""
     words = list(words)
     if len(words) > MOST_NAMED_CHANGES:
         words = [*words[: MOST_NAMED_CHANGES - 1], f"{len(words) - MOST_NAMED_CHANGES + 1} others"]
@@ -156,20 +157,22 @@ def joined(words: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class ConfidenceInterval:
-    """Of one unknown, in physical units; NaN where it is held or the data do not determine it.
+    """The confidence interval of one unknown, in physical units.
+
+    Values are NaN if the unknown is at a bound, or if the data do not determine it.
 
     Attributes
     ----------
     std_error, lower95, upper95
-        By what `Uncertainty.basis` says of the noise.
+        Standard error and 95 % interval, for the noise that `Uncertainty.basis` names.
     at_bound
-        "lower" or "upper" where a bound holds it.
+        "lower" or "upper" if the estimate is at a bound.
     error_white, error_autoregression, error_experiments
-        The standard error if the noise is white, if it is an autoregression, and from the scatter
-        of the experiments; NaN for what was not taken into account.
+        The standard error for white noise, for an autoregression, and from the scatter of the
+        experiments; NaN for those that were not computed.
     error_uniform
-        What `error_white` would be if priors scattered as the measurements do: the curvature of the
-        cost alone says it. NaN where there are no priors.
+        The value of `error_white` if the priors scattered like the measurements; it follows from
+        the curvature of the cost alone. NaN without priors.
     """
 
     std_error: float
@@ -184,7 +187,7 @@ class ConfidenceInterval:
 
 @dataclass(frozen=True)
 class DerivedInterval:
-    """Of a parameter that follows from others, to first order."""
+    """The interval of a parameter that is computed from others, to first order."""
 
     label: str
     value: float
@@ -201,24 +204,24 @@ class Uncertainty:
     Attributes
     ----------
     intervals
-        One for each unknown, in their order.
+        One interval for each unknown, in the order of the search space.
     derived
-        Of parameters that follow from others.
+        Intervals of parameters that are computed from others.
     shared, local
-        Labels of the free unknowns that several experiments may depend on, and of the others.
+        Labels of the free unknowns on which several experiments may depend, and of the others.
     correlations : (shared, shared)
-        NaN where the data do not determine one of the two.
+        NaN if the data do not determine one of the two unknowns.
     local_correlations : (local, shared)
-        Correlations of two local unknowns are left out: their number grows as the square of the
-        experiments'.
+        Correlations of two local unknowns are left out, because their number grows with the square
+        of the number of experiments.
     directions
-        That the data do not determine, or hardly.
+        Directions that the data do not determine, or determine only weakly.
     variance, degrees
-        s^2 in units of the cost's own weights, and n - k; NaN where there is no covariance.
+        s^2 in units of the cost's weights, and n - k; NaN if there is no covariance.
     basis, basis_degrees
-        What the standard errors and intervals take for the noise, and their degrees of freedom.
+        The noise model of the standard errors and intervals, and their degrees of freedom.
     notes
-        Sentences on omissions, and their reasons.
+        Sentences on omitted results, with reasons.
     """
 
     intervals: tuple[ConfidenceInterval, ...]
@@ -236,5 +239,5 @@ class Uncertainty:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on directions that the data do not determine, and the notes."""
+        """Sentences on directions that the data do not determine, followed by the notes."""
         return (*(direction.sentence for direction in self.directions), *self.notes)
