@@ -323,7 +323,9 @@ class SearchLog:
         fall = won.criterion - self.base.criterion(self.fitter.records)
         first = findings(end.seen.screening.ranking, self.base, 1).values()
         self.seen = with_single(self.seen, first, won, fall)
-        self.accept(won.fitted, won.move)
+        is_filter = won.candidate.form.is_dynamics
+        free = LoopPart.FREE_DYNAMICS if is_filter else LoopPart.FREE_CURVE
+        self.accept(won.fitted, won.move or free)
         rivals = rivals_of(won, end.seen.contenders)
         return AcceptedStructure(won.fitted, prediction, rivals)
 
