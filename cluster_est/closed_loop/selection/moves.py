@@ -234,13 +234,18 @@ def _has_room_for_two(begun: RoundStart, best: RoundEnd) -> bool:
 
 
 def _two_that_pay(begun: RoundStart, single: RoundEnd, double: RoundEnd) -> RoundEnd:
-    """The better of one or two effects; two pay a penalty for the choice among all pairs."""
-    if double.won is None:
+    """Return the end of the round with one more effect, or with two.
+
+    Two must pay for the choice among so many pairs, and predict better than the single one by the
+    rule by which the answer is chosen.
+    """
+    if double.won is None or double.prediction is None:
         return single
+    if single.won is None or single.prediction is None:
+        return double
     price = SELECTION.pair_price * np.log(begun.screening.count)
-    if single.won is not None and double.won.criterion + price > single.won.criterion:
-        return single
-    return double
+    pays = double.won.criterion + price <= single.won.criterion
+    return double if pays and double.prediction.is_better_than(single.prediction) else single
 
 
 def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:

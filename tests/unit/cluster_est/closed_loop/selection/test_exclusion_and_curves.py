@@ -18,7 +18,7 @@ from cluster_est import LoopSettings
 from cluster_est.closed_loop.selection import argument_functions, gates
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import reason_to_stop
-from cluster_est.closed_loop.selection.moves import exclude
+from cluster_est.closed_loop.selection.moves import MOVES, exclude
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     RejectionReason,
@@ -197,6 +197,23 @@ def test_coloured_noise_is_said_to_do_it_only_if_it_does_as_much_as_every_refuse
     end = gates.choose(fitter, begun_at(fit_with_squares(PROBLEM, NOTHING)), contenders)
     assert end.won is None
     assert end.seen.coloured is coloured
+
+
+@pytest.mark.parametrize(("of_pair", "wins"), [(0.5, "pair"), (1.5, "single")])
+def test_two_effects_take_the_place_of_one_only_if_they_predict_better(of_pair, wins):
+    """The more effects, the better the fit: the pair has the better criterion in any case."""
+    begun = begun_at(fit_with_squares(PROBLEM, NOTHING))
+    parts = np.array([3.0, 2.0, 4.0])
+
+    def ended(name, squares, predicted):
+        fitted = fit_with_squares(PROBLEM, squares, (made_candidate(name),))
+        won = made_refit(fitted, fitted.criterion(KnownFits({}).records))
+        seen = SelectionRound(begun.screening, (), None)
+        return RoundEnd(seen, won, LeaveOneOutPrediction(predicted))
+
+    (add_two,) = (move for move in MOVES if move.part is LoopPart.ADD_TWO)
+    one, two = ended("single", ONE, parts), ended("pair", BOTH, of_pair * parts)
+    assert add_two.preferred(begun, one, two).won.candidate.effect.name == wins
 
 
 @pytest.mark.parametrize("first", [72.1, 7e4])
