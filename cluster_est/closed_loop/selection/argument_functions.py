@@ -295,9 +295,7 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     coarse = coarse_curves(fitter, first)
     named = refit_named(fitter, first, coarse)
     coarse += switched_curves(fitter, first)
-    bound = first.bound(
-        current.criterion(records), claimable_sse(first, first.settings.max_effects)
-    )
+    bound = first.bound(criterion=current.criterion(records))
     finer = finer_curves(fitter, first, coarse, bound)
     filters = refit_filters(fitter, first, bound)
     named += refit_named(fitter, first, filters)
