@@ -24,7 +24,11 @@ from cluster_est.closed_loop.selection.linear_model import longest_step
 from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
-from cluster_est.methods.least_squares.iteration import DAMPING_RATIO, NOTICEABLE
+from cluster_est.methods.least_squares.iteration import (
+    DAMPING_RATIO,
+    NOTICEABLE,
+    SHORTEST_SECANT,
+)
 from cluster_est.methods.least_squares.linear_map import StepSolver
 from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.problem.search_space import SearchSpace
@@ -224,7 +228,8 @@ class RefitWithoutPart(Method):
             simulated, left = True, float(np.sum(at.residuals[rows] ** 2))
             missed = (at.residuals - residuals)[rows] - matrix @ moved
             lengths = depends @ (sizes * moved) ** 2
-            missed = np.divide(missed, lengths, out=np.zeros_like(missed), where=lengths > 0.0)
+            seen = lengths > SHORTEST_SECANT * float(np.add.reduce((sizes * moved) ** 2))
+            missed = np.divide(missed, lengths, out=np.zeros_like(missed), where=seen)
             matrix = matrix + missed[:, None] * np.where(depends, sizes**2 * moved, 0.0)
             if left < squares:
                 x, residuals, squares = x + step, at.residuals, left

@@ -110,6 +110,9 @@ REDUCTION_NEAR_MINIMUM = 1e-6
 NOTICEABLE = 0.04
 """Fall of the sum of squares, over the variance of the residuals, that is a fifth of a standard
 error of the unknowns: what is closer to the minimum than that is at it, for all that data say."""
+SHORTEST_SECANT = 1e-12
+"""Smallest square of a part of a step with which derivatives are updated, relative to the square of
+the whole step. A shorter part mostly shows the rounding errors of the simulation."""
 EXHAUSTED = 1e-12
 """Share of the first cost: residuals of a millionth, as of simulated data without noise."""
 CURVED_RATIO = 3.0

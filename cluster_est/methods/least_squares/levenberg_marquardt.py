@@ -42,6 +42,7 @@ from cluster_est.methods.gradients import JacobianProvider
 from cluster_est.methods.least_squares.iteration import (
     LEAST_DAMPING,
     REDUCTION_NEAR_MINIMUM,
+    SHORTEST_SECANT,
     IterationState,
     LeastSquaresIteration,
     Result,
@@ -128,10 +129,10 @@ def secant_update(
     if not np.linalg.norm(missed) <= WORST * np.linalg.norm(seen):
         return None
     direction = before.largest**2 * step if before.largest.any() else step
-    parts = []
+    parts, least = [], SHORTEST_SECANT * float(direction @ step)
     for block, columns, rows in zip(blocks.blocks, blocks.columns, blocks.rows, strict=True):
         length = float(direction[columns] @ step[columns])
-        change = np.outer(missed[rows], direction[columns]) / length if length > 0.0 else 0.0
+        change = np.outer(missed[rows], direction[columns]) / length if length > least else 0.0
         parts.append(block + change)
     return replace(jacobian, blocks=BlockMatrix(tuple(parts), blocks.columns, blocks.size))
 
@@ -202,6 +203,15 @@ class LeastSquares(Method):
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
     secant_updates: int = field(default=0, metadata={"least": 0})
 
+    def search_briefly(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        """Start a search that computes no derivatives at the point where its iterations run out.
+
+        The derivatives of its result are then those of the point before, corrected by the last step
+        if `secant_updates` allows it.
+        """
+        constrained = bool(space.constraint_names)
+        return self.search(space, generator) if constrained else self._free(space, brief=True)
+
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         if not space.constraint_names:
@@ -216,7 +226,7 @@ class LeastSquares(Method):
         )
         return constrained.search(space, generator)
 
-    def _free(self, space: SearchSpace) -> Search:
+    def _free(self, space: SearchSpace, *, brief: bool = False) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:
@@ -262,7 +272,8 @@ class LeastSquares(Method):
                     updates += 1
                     continue
                 unknown = ending in DOUBTED and jacobian.frozen.any() and state.x is not last.x
-                if secant is not None or unknown:
+                enough = brief and ending is Ending.MAX_ITERATIONS
+                if (secant is not None and not enough) or unknown:
                     # an end must be one by the derivatives of its own point
                     most = 0 if secant is not None else most
                     secant, compared, before_step = None, None, None
