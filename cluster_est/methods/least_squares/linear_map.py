@@ -126,7 +126,7 @@ def _units(scale: FloatArray) -> FloatArray:
     """
     if np.max(scale, initial=0.0) <= LARGEST_RATIO * np.min(scale, initial=np.inf):
         return np.ones_like(scale)
-    return np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)
+    return np.asarray(2.0 ** np.round(np.log2(np.where(scale > 0.0, scale, 1.0))), np.float64)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.loop_objects import made_fit, made_fitter, made_problem
-from support.problems.functions import FunctionExecutor
+from support.problems.functions import FunctionExecutor, FunctionProblem
 from support.truth.systems_with_missing_effects import (
     measured,
     missing_effect_problem,
@@ -15,7 +15,11 @@ from support.truth.systems_with_missing_effects import (
 from cluster_est import LeastSquares, LoopSettings, close_loop, detect, fit
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.fitter import FitStart
-from cluster_est.closed_loop.selection.acceptance import predict, stays_bounded
+from cluster_est.closed_loop.selection.acceptance import (
+    RefitWithoutPart,
+    predict,
+    stays_bounded,
+)
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.method import GivenPoints
@@ -144,6 +148,22 @@ def test_a_step_of_a_logarithm_is_bounded_by_itself_not_by_the_value():
         predict(replace(made_fitter(problem), runner=Runner(executor)), fitted)
     assert min(asked) == pytest.approx(1e-6 * np.exp(-0.5))
     assert max(asked) < 1e-6
+
+
+def test_an_unknown_that_hardly_moves_keeps_its_derivatives():
+    """A step far below its last digit changes no residual; this is no derivative of zero."""
+    jacobian = np.zeros((6, 2))
+    jacobian[:2, 0], jacobian[2:4, 1], jacobian[4:] = 1.0, 1.0, 1.0
+    fitted, start = np.array([1.0, 1.0, 0.3, -0.3 + 1e-12, 0.5, 0.5]), np.array([0.0, 1e6])
+
+    def simulated(x):
+        curved = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0]) * x[0] ** 2
+        return fitted + jacobian @ (x - start) + curved
+
+    refit = RefitWithoutPart(fitted, jacobian, np.array([4, 5]), np.zeros(2, bool))
+    found = FunctionProblem("", simulated, tuple(start), np.nan).solve(refit)
+    assert found.cost == pytest.approx(2.0 * (0.5 + found.x[0]) ** 2)
+    assert found.x[1] == start[1]
 
 
 @pytest.mark.parametrize(("strength", "bounded"), [(-1.0, True), (0.2, True), (6.0, False)])
