@@ -116,7 +116,7 @@ def terminations() -> Iterator[None]:
 def _quiet(handler: _RaisingHandler) -> Iterator[None]:
     """Suppress tracebacks of interrupts whose exception was lost; they are raised again later.
 
-    Also suppress later tracebacks of unraisable errors, such as in half-built objects.
+    After an interrupt, also suppress unraisable errors, such as errors of half-built objects.
     """
     printing, unraisable = sys.excepthook, sys.unraisablehook
 
