@@ -207,7 +207,7 @@ def search_from_starts(
     Raises
     ------
     ProblemError
-        If samples are wanted but an unknown has no finite bounds.
+        If samples are needed but an unknown has no finite bounds.
     """
     suitable = suited(space, method)
     starts = make_starts(runner, suitable, multistart)
