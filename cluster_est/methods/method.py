@@ -121,9 +121,9 @@ class Evaluation:
     cost
         Cost of the point; NaN if a simulation failed.
     constraints : (constraints,)
-        Values in the order of `Space.constraint_names`. A satisfied constraint is at most 0, or 0
-        if it is an equality (`Space.equality`). Empty without constraints or if a simulation
-        failed.
+        Values in the order of `SearchSpace.constraint_names`. A satisfied constraint is at most 0,
+        or 0 if it is an equality (`SearchSpace.equality`). Empty without constraints or if a
+        simulation failed.
     violation
         Largest violation of a constraint; 0 if all are satisfied, NaN if a simulation failed.
     index

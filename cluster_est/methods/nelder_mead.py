@@ -277,10 +277,11 @@ class NelderMead(Method):
         with three or four unknowns and a smooth cost.
     initial_step
         Edges of the first simplex, in noticeable changes. A noticeable change is the start value
-        itself, 1 in a logarithm, or a tenth of the range of the bounds if the start is 0.
+        itself, or 1 in a logarithm. If the start is 0, it is a tenth of the range of the bounds.
     xtol, ftol
-        Converged when no vertex is further from the best than `xtol` noticeable changes, and none
-        is worse by more than `ftol` of the best cost (or by its square, of the start's cost).
+        Converged when two conditions hold. No vertex is further from the best than `xtol`
+        noticeable changes. None is worse by more than `ftol` of the best cost (or by the square of
+        `ftol`, of the start's cost).
     max_restarts
         Largest number of restarts. A poll in both directions along each axis checks a converged
         simplex. If the poll lowers the cost, the search restarts there with a larger simplex. 0

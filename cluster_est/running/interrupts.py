@@ -21,7 +21,7 @@ TERMINATION_SIGNALS = tuple(
 )
 STOP_FILE_POLL_SECONDS = 0.5
 INTERRUPTS_BEFORE_RAISE = 3
-"""Number of interrupts from which on an interrupt is raised at once, at any place."""
+"""Number of interrupts after which an interrupt is raised at once, at any place."""
 
 
 class DeferredInterrupts:

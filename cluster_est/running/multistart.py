@@ -262,8 +262,8 @@ def check_starts(space: SearchSpace, multistart: Multistart) -> None:
     Raises
     ------
     ProblemError
-        If a point of the user has an unknown label or lies out of bounds, or if samples are needed
-        but an unknown has no finite bounds.
+        If a point of the user has a wrong label or lies out of bounds. Or if samples are needed but
+        an unknown has no finite bounds.
     """
     for values in multistart.points:
         _named(space, values)

@@ -91,8 +91,7 @@ class RunSnapshot:
     ended, searches
         Number of ended searches, and of all searches, in the current group.
     left, at_most
-        Remaining seconds of the current group (NaN if unknown), and whether this is an upper limit
-        from a budget or a limit of iterations.
+        Remaining seconds of the current group (NaN if unknown), and whether this is an upper limit.
     waiting
         Number of simulations that wait for a worker.
     pace

@@ -1,7 +1,7 @@
 """A Jacobian as a linear map, stored as one array or as one block for each experiment.
 
-It yields the damped Gauss-Newton step within bounds, for many damping factors from one
-factorisation, and the reduction that the Gauss-Newton model predicts for a step.
+It yields the damped Gauss-Newton step within bounds. One factorisation serves many damping factors.
+It also yields the reduction that the Gauss-Newton model predicts for a step.
 
 If experiments have unknowns of their own, these are eliminated from the rows of the experiment. The
 other rows of its factor depend only on the shared unknowns. So time and memory grow linearly with

@@ -1,6 +1,6 @@
 """An augmented Lagrangian of a cost and its constraints.
 
-For constraints c <= 0 or c = 0, multipliers m and a penalty p it is
+For constraints c <= 0 or c = 0, multipliers m and a penalty p, the augmented Lagrangian is
 
     F + sum(t^2 - m^2) / (2 p),    t = m + p c for an equality, max(0, m + p c) for an inequality,
 

@@ -58,8 +58,9 @@ class PatternSearch(PatternMethod):
     search_points
         Number of points of a Latin hypercube; 0 selects the number of unknowns.
     initial_mesh
-        The first mesh, in noticeable changes: of the start value itself, of 1 in a logarithm, of
-        the range of the bounds if that is less, or of a tenth of it if the start is 0.
+        The first mesh, in noticeable changes. A noticeable change is the start value itself, or 1
+        in a logarithm, but at most the range of the bounds. If the start is 0, it is a tenth of
+        this range.
     mesh_tolerance
         Converged when a poll fails with a mesh finer than this.
     expansion, contraction

@@ -178,8 +178,8 @@ def _non_dominated(members: Sequence[PopulationMember]) -> list[PopulationMember
 def _progress(before: FloatArray, now: FloatArray) -> float:
     """Return the mean distance from a front to a later front, in units of the later front's gaps.
 
-    The distance of a point of `now` is the least shift of all objectives, in units of their ranges,
-    after which a point of `before` is as good in all objectives. This is the additive epsilon
+    The distance of a point of `now` is the least shift after which a point of `before` is as good
+    in all objectives. The unit of each objective is its range. This is the additive epsilon
     indicator of E. Zitzler, L. Thiele, M. Laumanns, C. Fonseca, V. da Fonseca, IEEE Trans. Evol.
     Comput. 7 (2003) 117-132, doi:10.1109/TEVC.2003.810758, for one point at a time.
     """

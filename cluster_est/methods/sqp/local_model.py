@@ -368,7 +368,7 @@ class SqpLocalModel:
     def move_to(
         self, x: FloatArray, at: Evaluation, derivatives: CostDerivatives, multipliers: FloatArray
     ) -> None:
-        """Build the model around a point; `multipliers` are those of the step to it."""
+        """Build the model around a point; `multipliers` are the multipliers of the step to it."""
         if not self.is_at(x):
             self._history.add(self._linearisation)
         self._linearisation = ConstraintLinearisation(
