@@ -1,7 +1,7 @@
-"""Executors: where tasks run. One file an executor.
+"""Executors, which run tasks.
 
-A new executor is one file with a subclass of `WorkerPool` and one line here. They are imported only
-when they are used, because Ray takes a second to import.
+A new executor needs a file with a subclass of `WorkerPool`, and an entry in `EXECUTORS`. Executors
+are imported only when they are used, because the import of Ray takes a second.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ EXECUTORS = {
 
 
 def executor_class(name: str) -> type[WorkerPool]:
-    """Import an executor by the name that the config calls it."""
+    """Import and return an executor by its name in a config."""
     module, _, attribute = EXECUTORS[name].partition(":")
     found: type[WorkerPool] = getattr(import_module(module), attribute)
     return found

@@ -1,4 +1,4 @@
-"""Tasks that wait for a worker, handed out in batches that are worth the trip."""
+"""A queue of tasks that wait for a worker, with batches of suitable size."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
 FEW_TASKS, SECONDS_OF_FEW_TASKS = 9, 0.5
-"""Number of tasks that travel together though they take longer than a batch, and the seconds that
-they may take: where simulations take a tenth of a second, a message for each costs a small machine
-more than they do."""
+"""Largest number of tasks in a batch that exceeds `BATCH_SECONDS`, and its largest duration.
+
+If simulations take a tenth of a second, a message for each simulation costs a small machine more
+than the simulation."""
 LEAST_BATCH_SECONDS = 0.005
-"""A batch of less is not worth the trip, even if other workers are idle."""
+"""Least duration of a batch, even if other workers are idle."""
 FIRST_GUESS = 0.005
 WEIGHT_OF_NEWEST_SECONDS = 0.2
 """Weight of the newest observation in the running mean of a simulation's seconds."""
 
 
 class TaskBacklog:
-    """A queue of tasks that knows how long a simulation of each experiment takes.
+    """A queue of tasks with estimates of the duration of each experiment's simulation.
 
     Parameters
     ----------
     shares
-        Into how many batches the whole queue is cut at least, so that no worker waits while
-        another holds everything.
+        Least number of batches of the whole queue, so that no worker is idle while another worker
+        has all tasks.
     few_seconds
-        For which a few tasks may travel together though they take longer than a batch.
+        Largest duration of a batch of a few tasks.
     """
 
     def __init__(self, shares: int, few_seconds: float = SECONDS_OF_FEW_TASKS) -> None:
@@ -44,23 +45,23 @@ class TaskBacklog:
         self._tasks.extend(tasks)
 
     def add_first(self, task: Task) -> None:
-        """Queue a task before all others: it has waited once already."""
+        """Queue a task before all others, because it has waited before."""
         self._tasks.appendleft(task)
 
     def expected(self, batch: TaskBatch) -> float:
-        """Seconds that a batch usually takes."""
+        """Return the expected seconds of a batch."""
         return sum(self._seconds.get(e, FIRST_GUESS) for e in batch.experiments.tolist())
 
     @property
     def next_seconds(self) -> float:
-        """Seconds that the next simulation usually takes; a guess if there was none like it."""
+        """Expected seconds of the next simulation; a guess for the first of its experiment."""
         return self._seconds.get(self._tasks[0].experiment, FIRST_GUESS)
 
     def clear(self) -> None:
         self._tasks.clear()
 
     def remove(self, ids: Collection[int]) -> list[int]:
-        """Take tasks back; which of them were still here."""
+        """Remove tasks by id; return the ids that were in the queue."""
         wanted = set(ids)
         found = [task.id for task in self._tasks if task.id in wanted]
         if found:
@@ -68,7 +69,7 @@ class TaskBacklog:
         return found
 
     def take(self) -> TaskBatch:
-        """Remove the next batch: about 0.1 s of work or a few tasks, all of it wanting the same."""
+        """Remove and return a batch: about 0.1 s of work or a few tasks, with one wanted result."""
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
         seconds = 0.0
@@ -86,7 +87,7 @@ class TaskBacklog:
         return TaskBatch.of(batch)
 
     def learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:
-        """Remember how long the simulations of a batch took."""
+        """Update the estimates of durations from the outcomes of a batch."""
         for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
             known = self._seconds.get(experiment, outcome.seconds)
             self._seconds[experiment] = known + WEIGHT_OF_NEWEST_SECONDS * (outcome.seconds - known)

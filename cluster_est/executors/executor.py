@@ -1,4 +1,4 @@
-"""The contract of an executor: where tasks run."""
+"""The interface of an executor, which runs tasks."""
 
 from __future__ import annotations
 
@@ -11,61 +11,61 @@ from workers.messages import Experiment, Limits, Model, Outcome, ResetPolicy, Ta
 
 
 class Executor(ABC):
-    """Takes tasks and gives back one outcome for each, in any order.
+    """An executor takes tasks and returns one outcome for each task, in any order.
 
-    Used as a context manager. It never raises for a simulation that fails, and it changes no bit of
-    a result: what a task answers must not depend on where and with which others it ran.
+    It is a context manager. It does not raise an error if a simulation fails. The bits of an
+    outcome must not depend on the place of the simulation or on other tasks.
     """
 
     workers: int
-    """How many simulations run at the same time."""
+    """Number of simultaneous simulations."""
 
     reset: ResetPolicy = "auto"
-    """What every simulation begins with, once that has been decided."""
+    """The reset policy, after it has been decided."""
 
     @abstractmethod
     def submit(self, tasks: Sequence[Task]) -> None:
-        """Queue tasks. Returns at once.
+        """Queue tasks and return at once.
 
-        An id may be used again once its task was answered or taken back, even while a worker that
-        was given the former task too has not answered yet.
+        An id may be used again after its task has an outcome or was cancelled. At that time, a
+        second worker may still simulate the old task.
 
-        Tasks may differ in what they want and in their effects. A batch for a worker may not:
-        `executors.backlog.TaskBacklog` cuts such batches.
+        Tasks may have different wanted results and effects. The tasks of a batch may not:
+        `executors.backlog.TaskBacklog` creates such batches.
         """
 
     @abstractmethod
     def completed(self) -> list[Outcome]:
-        """Wait until at least one task is done; give back all that are. Empty if none is queued.
+        """Wait for at least one outcome; return all new outcomes, or none if no task is queued.
 
-        An interrupt (Ctrl-C) must come through while it waits, so that slow simulations belong into
+        An interrupt (Ctrl-C) must be possible while it waits. So slow simulations must run in
         another thread or process.
         """
 
     @abstractmethod
     def cancel(self, tasks: Collection[int]) -> list[int]:
-        """Take back tasks, by id, that have not begun; give back which. The others go on."""
+        """Cancel tasks, by id, that have not begun; return the cancelled ids."""
 
     @property
     @abstractmethod
     def busy(self) -> int:
-        """Number of workers that have something to do.
+        """Number of busy workers.
 
-        Where a task was given to two, the slower one counts too until it has answered.
+        If a task was sent to two workers, the slower worker counts too until it is done.
         """
 
-    def free_instances(self, workers: int) -> None:  # noqa: B027 (what holds no instances has none to let go)
-        """Have the first workers let their instances of the FMU go until they are asked again.
+    def free_instances(self, workers: int) -> None:  # noqa: B027 (an executor may have no instances)
+        """Free the FMU instances of the first workers until their next task.
 
-        Where the number of instances is limited, somebody else is about to make some. Nothing is
-        queued then. After `close` it does nothing.
+        Call it before other code creates instances, if their number is limited. No task may be
+        queued. After `close` it does nothing.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Stop the workers and forget what is queued. It may be called twice.
+        """Stop the workers and discard queued tasks. It may be called twice.
 
-        Afterwards nothing is completed and no worker is busy.
+        Afterwards there are no outcomes and no busy workers.
         """
 
     def __enter__(self) -> Self:
@@ -76,30 +76,30 @@ class Executor(ABC):
 
 
 class WorkerPool(Executor):
-    """An executor that a config can choose: it starts workers that hold the model."""
+    """An executor that a config can select, with workers that have the model."""
 
     name: ClassVar[str]
-    """What the config calls it."""
+    """Name of the executor in a config."""
 
     in_process: ClassVar[bool]
-    """Whether simulations run in this process, which an FMU that crashes takes along."""
+    """Whether simulations run in this process, so that a crash of the FMU ends it."""
 
     on_cluster: ClassVar[bool] = False
-    """Whether all pools of a process run on one cluster, which is joined once: see `join`."""
+    """Whether all pools of a process run on one cluster, which is joined once; see `join`."""
 
     def __init_subclass__(cls) -> None:
         check_class_attributes(cls)
 
     @classmethod
     def join(cls, workers: int | None, address: str | None) -> Callable[[], None]:
-        """Join the cluster for longer than one pool; return how to leave it.
+        """Join the cluster for several pools; return the function that leaves it.
 
-        `open` joins it too where that has not been done. Only asked for if `on_cluster`.
+        If this was not called, `open` joins the cluster. Call it only if `on_cluster`.
 
         Raises
         ------
         ExecutorError
-            If it cannot be joined.
+            If the cluster cannot be joined.
         """
         raise NotImplementedError
 
@@ -118,69 +118,69 @@ class WorkerPool(Executor):
         Parameters
         ----------
         model, experiments
-            What tasks refer to.
+            The model and the experiments of the tasks.
         workers
-            How many; None for the executor's default. At most `model.at_most(workers)` are started,
-            and worker i is given `model.of_worker(i)`.
+            Number of workers; None for the executor's default. At most `model.at_most(workers)` are
+            started, and worker i has `model.of_worker(i)`.
         address
-            Of a cluster, for executors that have one.
+            Address of the cluster, for executors on clusters.
         limits
-            When a simulation is ended from outside, for executors that can.
+            Limits after which a simulation is ended from outside, for executors that support this.
 
         Raises
         ------
         ModelError
-            If the FMU cannot be loaded where it should run.
+            If a worker cannot load the FMU.
         ExecutorError
-            If there are no workers to be had.
+            If no worker can be started.
         """
 
     first: Outcome | None = None
-    """What a worker answered before the first simulation that counts, if it was asked."""
+    """Outcome of the repeatability test before the first recorded simulation, if there is one."""
     first_at: float = 0.0
-    """When that was, in seconds of `time.monotonic`."""
+    """Time of the outcome `first`, in seconds of `time.monotonic`."""
 
     @abstractmethod
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
-        """Have one worker answer tasks in turn, always the same one, while nothing else is asked.
+        """Run tasks one after the other on one worker, always the same; return their outcomes.
 
-        Each is asked once, even if it crashes. Their ids may be used again. Empty if that worker
-        was lost.
+        No other task may be queued. Each task runs once, even if it crashes. The ids may be used
+        again. The result is empty if the worker was lost.
 
         Parameters
         ----------
         tasks
-            What to ask.
+            The tasks to run.
         last
-            Whether to ask the last worker, not the first.
+            Whether to use the last worker instead of the first.
         """
 
 
 class OutcomeSource(ABC):
-    """Outcomes that are known already, such as those in the log of an interrupted run.
+    """A source of known outcomes, such as the log of an interrupted run.
 
-    They are numbered in the order in which they came, and each is given out once.
+    Outcomes are numbered in the order of their arrival. Each is used once.
     """
 
     remaining: int
-    """How many nobody has taken yet."""
+    """Number of outcomes that are not taken yet."""
 
     @abstractmethod
     def take(self, questions: Sequence[tuple[str, Want]]) -> list[int | None]:
-        """Return, for each simulation key and want, the first outcome that nobody has taken."""
+        """Return the row of the first outcome not yet taken, for each simulation key and want."""
 
     @abstractmethod
     def is_whole(self, row: int) -> bool:
-        """Return whether all of an outcome is known, so that it need not be simulated again."""
+        """Return whether an outcome is complete; otherwise it must be simulated again."""
 
     @abstractmethod
     def outcome(self, row: int, task: int) -> Outcome:
-        """Return an outcome as the answer to a task."""
+        """Return an outcome, with the id of a task."""
 
     @abstractmethod
     def compare(self, row: int, outcome: Outcome) -> None:
-        """Compare an outcome that was simulated again with what is known of the first."""
+        """Compare a repeated outcome with the known parts of the first outcome."""
 
     @abstractmethod
     def note_answered(self, task: int) -> None:
-        """Remember that a task was answered from here: it must not be logged again."""
+        """Record that this source answered a task, so that it is not logged again."""

@@ -1,6 +1,6 @@
-"""Simulations on this machine without Ray: in threads of this process, or each in one of its own.
+"""Simulations on this machine without Ray, in threads of this process or in worker processes.
 
-Threads simulate at the same time because the core runs without the interpreter's lock.
+Threads simulate at the same time because the core releases the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from workers.process.supervisor import SupervisedEvaluator
 from workers.wire import TaskBatch
 
 SLOW_SECONDS = 0.5
-"""What an interrupt may wait for a simulation that runs in the caller's thread."""
+"""Longest simulation in the caller's thread, which delays an interrupt."""
 CLOSE_SECONDS = 1.0
 
 
 class AnyEvaluator(Protocol):
-    """An evaluator, or what stands before one."""
+    """An evaluator, or a proxy of an evaluator."""
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]: ...
 
@@ -45,26 +45,26 @@ class AnyEvaluator(Protocol):
 
 @final
 class EvaluatorHere:
-    """An evaluator in this process, which is not the FMU's alone.
+    """An evaluator in this process, which is shared with other code.
 
-    It gets its working folder back after each batch. An instance that had a fatal error stays for
-    good: another one in its place would be one too many where their number is limited.
+    It restores the working folder after each batch. An instance with a fatal error cannot be freed.
+    If the number of instances is limited, a replacement would exceed the limit.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:
         self._evaluator = evaluator
         self._folder = ""
-        with suppress(OSError):  # it is gone
+        with suppress(OSError):  # the folder has been removed
             self._folder = os.getcwd()
         self.free_instance, self.close = evaluator.free_instance, evaluator.close
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
-        """Answer a batch.
+        """Return the outcomes of a batch.
 
         Raises
         ------
         ExecutorError
-            If there can be no instance for this worker any more.
+            If this worker cannot have an instance any more.
         """
         outcomes = self._evaluator.evaluate(batch)
         with suppress(OSError):
@@ -78,18 +78,18 @@ class EvaluatorHere:
         return outcomes
 
     def once(self, task: Task) -> Outcome:
-        """Answer one task."""
+        """Return the outcome of one task."""
         return self.evaluate(TaskBatch.of([task]))[0]
 
     def stop(self) -> None:
-        """Do nothing: what is simulated in this process cannot be ended."""
+        """Do nothing: a simulation in this process cannot be ended."""
 
 
 class ThreadPool(WorkerPool):
-    """One thread for each worker, which is an evaluator or stands before one.
+    """A pool with one thread for each worker, which is an evaluator or its proxy.
 
-    With one worker quick simulations run in the caller's thread. Slow ones do not: an interrupt
-    could not come through.
+    With one worker, quick simulations run in the caller's thread. Slow simulations do not, because
+    they would delay an interrupt.
     """
 
     def __init__(self, evaluators: Sequence[AnyEvaluator]) -> None:
@@ -106,7 +106,7 @@ class ThreadPool(WorkerPool):
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         evaluator = self._evaluators[-1 if last else 0]
         outcomes: list[Outcome] = []
-        for task in tasks:  # in a thread: an interrupt comes through
+        for task in tasks:  # in a thread, so that an interrupt is possible
             running = self._threads.submit(evaluator.once, task)
             self._running[running] = TaskBatch.of([task])
             outcomes.append(running.result())
@@ -147,7 +147,7 @@ class ThreadPool(WorkerPool):
     def free_instances(self, workers: int) -> None:
         if self._closed:
             return
-        idle = [self._idle.get() for _ in self._evaluators]  # once nothing is simulated any more
+        idle = [self._idle.get() for _ in self._evaluators]  # waits until no simulation runs
         for evaluator in self._evaluators[:workers]:
             evaluator.free_instance()
         for evaluator in idle:
@@ -155,19 +155,19 @@ class ThreadPool(WorkerPool):
 
     def close(self) -> None:
         for evaluator in self._evaluators:
-            evaluator.stop()  # first, so that no thread waits for a simulation any more
+            evaluator.stop()  # first, so that no thread waits for a simulation
         self._closed = True
         self._backlog.clear()
         _, endless = wait(self._running, CLOSE_SECONDS)
         self._threads.shutdown(wait=not endless, cancel_futures=True)
         self._running.clear()
-        if not endless:  # what is simulated still must not lose its FMU
+        if not endless:  # a running simulation still needs its FMU
             for evaluator in self._evaluators:
                 evaluator.close()
 
     @property
     def _here(self) -> bool:
-        """Return whether what comes next runs in the caller's thread."""
+        """Whether the next batch runs in the caller's thread."""
         quick = len(self._backlog) > 0 and self._backlog.next_seconds < SLOW_SECONDS
         return self.workers == 1 and not self._running and quick
 
@@ -185,10 +185,10 @@ class ThreadPool(WorkerPool):
 
 
 class LocalExecutor(ThreadPool):
-    """Evaluators in this process.
+    """An executor with evaluators in this process.
 
-    The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
-    every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
+    It is the default, for fits that take seconds. An FMU that crashes ends this process, and some
+    FMUs do not allow several instances in one process. `processes` and `ray` avoid both problems.
     """
 
     name: ClassVar[str] = "local"
@@ -221,10 +221,11 @@ class LocalExecutor(ThreadPool):
 
 
 class ProcessExecutor(ThreadPool):
-    """For FMUs that crash, hang, leak or exist once in a process, on the cores of one machine.
+    """An executor with worker processes on the cores of one machine.
 
-    It starts in half a second, where Ray takes several. `local` is faster for simulations of less
-    than a millisecond.
+    Use it for FMUs that crash, hang, leak memory or allow one instance per process. It starts in
+    half a second; Ray takes several seconds. `local` is faster for simulations of less than a
+    millisecond.
     """
 
     name: ClassVar[str] = "processes"

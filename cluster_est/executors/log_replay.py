@@ -1,4 +1,4 @@
-"""Answers from a log, in front of another executor: how an interrupted run is taken up again."""
+"""An executor that takes outcomes from a log, to resume an interrupted run."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def simulation_key(
     values: FloatArray,
     bound: float = math.inf,
 ) -> str:
-    """Return the hash of all that a simulation's outcome depends on.
+    """Return the hash of all data that affect a simulation's outcome.
 
-    `bound` is the sum of squares above which it ends early.
+    `bound` is the sum of squares above which the simulation ends early.
     """
     parts: list[str | bytes] = [model_key, experiment_key, repr(effects), values.tobytes()]
     if bound < math.inf:
@@ -37,27 +37,27 @@ def simulation_key(
 
 
 class LogReplayExecutor(Executor):
-    """Answers tasks that stand in a log, and lets another executor do the others.
+    """An executor that takes outcomes from a log, and sends other tasks to another executor.
 
-    The run is done again from its start. What it asks and the log answers is *held* and given back
-    one at a time, in the log's order, as it came back the first time. So a method that goes by the
-    order of its answers goes the same way again. Everything else waits until nothing is held any
-    more: what the first run took back before it began can be taken back again. A held task cannot
-    be, because it was not the first time either.
+    The resumed run starts from its beginning. A task with an outcome in the log is *held*. The
+    outcomes of held tasks are returned one at a time, in the log's order. So a method that depends
+    on the order of outcomes takes the same path again. Other tasks wait until no task is held, so
+    they can be cancelled as in the first run. A held task cannot be cancelled, because the first
+    run did not cancel it.
 
-    Rows without residuals, or without a linearisation, are simulated again at once, and answered
-    when it is their turn.
+    Log rows without residuals, or without a linearisation, are simulated again at once, and
+    returned in their turn.
 
-    It is no choice of a config: a run that is resumed puts it there, see `RunEnvironment`.
+    A config cannot select this executor; `RunEnvironment` uses it to resume a run.
 
     Parameters
     ----------
     inner
-        Simulates; it is closed along with this one.
+        Executor of the simulations, which is closed with this executor.
     model, experiments
-        What `inner` was opened with.
+        Model and experiments of `inner`.
     log
-        What is known already.
+        The known outcomes.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class LogReplayExecutor(Executor):
 
     @property
     def workers(self) -> int:  # type: ignore[override]
-        """Workers of the executor behind it; a pool may grow."""
+        """Number of workers of the inner executor; a pool may grow."""
         return self._inner.workers
 
     @property
     def reset(self) -> ResetPolicy:  # type: ignore[override]
-        """The reset policy of the executor behind it."""
+        """The reset policy of the inner executor."""
         return self._inner.reset
 
     def submit(self, tasks: Sequence[Task]) -> None:
@@ -143,7 +143,7 @@ class LogReplayExecutor(Executor):
         self._inner.close()
 
     def _pass_on(self) -> None:
-        """Let the others be simulated, once nothing is held any more."""
+        """Submit the waiting tasks to the inner executor if no task is held."""
         if self._later and not self._held:
             later, self._later = self._later, []
             self._inner.submit(later)

@@ -1,6 +1,6 @@
-"""Joining a Ray cluster, or starting one on this machine alone.
+"""Connection to a Ray cluster, or start of Ray on this machine alone.
 
-Why a cluster cannot be joined is found out before Ray tries it, which takes minutes.
+The connection is checked before Ray tries to join, because a failed attempt of Ray takes minutes.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ except Exception as error:
     said = {"failed": type(error).__name__, "why": str(error)}
 print(json.dumps(said))
 """
-"""Prints what the head says of itself and of the nodes that are alive, whose state is 0. Ray may
-end a process that gets no answer."""
+"""Script that prints the head's data of the cluster and of the live nodes (state 0).
+
+It runs in a separate process, because Ray may end a process without an answer."""
 
 
 def why_not_joined(address: str) -> str:
-    """Return why a cluster cannot be joined at HOST:PORT; "" if nothing is known against it."""
+    """Return the reason why a cluster at HOST:PORT cannot be joined; "" if none is known."""
     if address == "auto" or "//" in address:
-        return ""  # Ray knows what that is
+        return ""  # Ray resolves such addresses
     host, _, port = address.rpartition(":")
     if not host or not port.isdigit():
         return (
@@ -73,7 +74,7 @@ def why_not_joined(address: str) -> str:
 
 
 def _judged(address: str, said: dict[str, dict[str, str] | str]) -> str:
-    """Return what is wrong with what the head says of itself, or with the question."""
+    """Return the reason against joining, from the head's answer; "" if there is none."""
     cluster, nodes = said.get("is"), said.get("nodes")
     if isinstance(cluster, dict):
         found = _other_version(address, cluster)
@@ -92,7 +93,7 @@ def _judged(address: str, said: dict[str, dict[str, str] | str]) -> str:
 
 
 def _other_version(address: str, cluster: dict[str, str]) -> str:
-    """Return how the versions there differ from those here; "" if they go together."""
+    """Return a message if the cluster's versions are incompatible with this machine's, else ""."""
     here, python = version("ray"), platform.python_version()
     there = cluster.get("ray_version", here), cluster.get("python_version", python)
     if there[0] != here:
@@ -109,10 +110,10 @@ def _other_version(address: str, cluster: dict[str, str]) -> str:
 
 
 def _no_node_here(address: str, nodes: dict[str, str]) -> str:
-    """Return that no node of a cluster is on this machine; "" if one is, or it cannot be seen.
+    """Return a message if no node of a cluster is on this machine; "" if there is one or unknown.
 
-    A node answers programs of its own machine at a socket in its file system. Without one Ray
-    would try for a minute.
+    A node has a socket in the file system of its machine. Without a node Ray would try for a
+    minute.
     """
     if any(not name.startswith("/") or Path(name).exists() for name in nodes):
         return ""
@@ -130,15 +131,15 @@ def _no_node_here(address: str, nodes: dict[str, str]) -> str:
 
 
 _PACKAGES = Path(__file__).parents[2]
-"""The folder of this package and `workers`, which Ray's workers import from in any case."""
+"""Folder of this package and `workers`, from which Ray's workers import in any case."""
 _ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 _started_in: list[str] = []
-"""The folder of this program when it started Ray; nothing without a Ray of its own."""
+"""Working folder of this program when it started Ray; empty if it did not start Ray."""
 
 MOST_NAMED_NODES = 4
 
 LOCAL_STARTS = 3
-"""Starts of Ray on this machine: it gives up after 15 seconds, too few where much else runs."""
+"""Attempts to start Ray on this machine; 15 seconds per attempt may be too few on a busy one."""
 
 
 def connect(workers: int | None, address: str | None) -> bool:
@@ -147,12 +148,12 @@ def connect(workers: int | None, address: str | None) -> bool:
     Returns
     -------
     bool
-        False if this process was connected already: then somebody else disconnects it.
+        False if this process was connected already; then the caller must not disconnect.
 
     Raises
     ------
     ExecutorError
-        If no cluster answers there, or Ray does not start here.
+        If no cluster answers at the address, or Ray does not start on this machine.
     """
     if ray.is_initialized():
         return False
@@ -175,7 +176,7 @@ def connect(workers: int | None, address: str | None) -> bool:
                 _started_in[:] = [folder]
                 _close_token_to_others()
             break
-        except Exception as error:  # a start that takes too long raises no class of its own
+        except Exception as error:  # Ray has no specific class for a start that takes too long
             disconnect()
             if not left:
                 line = (str(error).splitlines() or [type(error).__name__])[0]
@@ -184,10 +185,10 @@ def connect(workers: int | None, address: str | None) -> bool:
 
 
 def _meant_by(address: str) -> str:
-    """Return what Ray takes "auto" for now: a Ray that has ended may still be written down."""
+    """Return the address that Ray uses for "auto"; it may belong to a Ray that has ended."""
     if address != "auto":
         return address
-    with contextlib.suppress(Exception):  # without one Ray says so, or finds it otherwise
+    with contextlib.suppress(Exception):  # Ray reports a missing cluster itself
         found = ray._private.services.get_ray_address_from_environment(address, None)
         return address if found is None else str(found)
     return address
@@ -195,14 +196,14 @@ def _meant_by(address: str) -> str:
 
 @contextlib.contextmanager
 def _away_from_the_users_files() -> Iterator[str]:
-    """Work in a folder without files of the user, and come back; gives the folder before.
+    """Work in a folder without files of the user, and return; yield the folder before.
 
-    Ray has its workers import from the folder that it is started or joined in before all others: a
-    numpy.py that is there would be executed.
+    Ray's workers import first from the folder in which Ray is started or joined. A numpy.py in the
+    user's folder would be executed.
     """
     try:
         before = os.getcwd()
-    except OSError:  # it has been removed
+    except OSError:  # the folder has been removed
         before = ""
     os.chdir(_PACKAGES)
     try:
@@ -214,9 +215,9 @@ def _away_from_the_users_files() -> Iterator[str]:
 
 @contextlib.contextmanager
 def _alone(local: bool) -> Iterator[None]:
-    """Have a Ray that is started here listen to this machine alone: all of its processes.
+    """Make all processes of a Ray that is started here listen to this machine alone.
 
-    So it does on systems for which it has no clusters; the key is one of Ray's.
+    Ray does this on systems without support for clusters; this sets Ray's key for it.
     """
     constants = ray._private.ray_constants
     before = os.environ.get(_ALONE), getattr(constants, "ENABLE_RAY_CLUSTER", True)
@@ -233,14 +234,14 @@ def _alone(local: bool) -> Iterator[None]:
 
 
 def _close_token_to_others() -> None:
-    """Let nobody else read the password that Ray has written for this user."""
+    """Restrict the token file that Ray has written for this user to this user."""
     with contextlib.suppress(OSError, RuntimeError):  # no such file, or no home
         named = os.environ.get("RAY_AUTH_TOKEN_PATH")
         (Path(named) if named else Path.home() / ".ray" / "auth_token").chmod(0o600)
 
 
 def folder_of_workers() -> str:
-    """Return the folder that workers of a Ray of this program go back to; "" of any other Ray."""
+    """Return the working folder for workers of a Ray that this program started; else ""."""
     return _started_in[0] if _started_in else ""
 
 
@@ -274,7 +275,7 @@ def cores() -> int:
 
 
 def why_not_started(error: Exception) -> Exception:
-    """The model's own error if it raised one, else a sentence around Ray's."""
+    """Return the model's error if it raised one, or an ExecutorError with Ray's message."""
     cause: BaseException | None = error
     with contextlib.suppress(AttributeError):
         cause = error.cause if isinstance(error, RayTaskError) else error

@@ -1,17 +1,15 @@
 """Simulations in Ray actors, one for each core, on this machine or a cluster.
 
-Two batches are in flight for each actor, so that it never waits for the coordinator. Actors may
-come and go: what a lost one had is asked again elsewhere, and what takes much longer than usual is
-asked twice where a worker is idle. The first answer counts, which changes nothing: both are the
-same bits, and who of the two fails has tried in a fresh process. An FMU that crashes or hangs takes
-no actor with it (see `workers.process.supervisor`), so a task is given up only after many lost
-workers.
+Each actor has two batches in flight, so that it never waits for the coordinator. The tasks of a
+lost actor are sent to other actors. A batch that takes much longer than usual is also sent to an
+idle actor. The first answer is used; both answers have the same bits, and a failed simulation was
+repeated in a fresh process. An FMU that crashes or hangs does not end its actor (see
+`workers.process.supervisor`). So a task is given up only after many lost workers.
 
-Where the number of the FMU's instances is limited, each actor has a seat. On one machine a seat is
-a lock that its process holds (`workers.fmu.seats`). No lock reaches from one machine to another, so
-an actor that takes the place of another is started on the node where that one was: there it waits
-until the other one's process is gone. If that node is gone, so is everything on it, and Ray may
-choose any.
+If the number of the FMU's instances is limited, each actor has a seat. On one machine a seat is a
+lock that its process holds (`workers.fmu.seats`). Locks do not work across machines. So the
+replacement of an actor is started on the node of that actor, and waits there until the old process
+has ended. If the node is gone, so are its processes, and Ray may choose any node.
 """
 
 from __future__ import annotations
@@ -41,16 +39,16 @@ from workers.messages import Experiment, Limits, Model, Outcome, Seats, Status, 
 from workers.wire import OutcomeColumns, TaskBatch
 
 _nodes: dict[tuple[str, int], str] = {}
-"""The node where each seat was taken last, as long as this program lives: pools follow pools."""
+"""Last node of each seat, for later pools of this program."""
 
 
 class ActorSeats:
-    """The seats of a pool, and which actor has which.
+    """The seats of a pool and their actors.
 
     Parameters
     ----------
     seats
-        Of the pool; None where any number of instances may exist.
+        Seats of the pool; None if any number of instances may exist.
     """
 
     def __init__(self, seats: Seats | None) -> None:
@@ -60,26 +58,26 @@ class ActorSeats:
         self._asked: dict[str, Any] = {}
 
     def take(self, name: str) -> int:
-        """Give a new actor a seat; return its number among the pool's workers."""
+        """Assign a seat to a new actor; return the number of the seat in the pool."""
         if self._seats is None:
             return 0
         self._of[name] = worker = self._free.pop(0)
         return worker
 
     def placed(self, worker: int) -> dict[str, Any]:
-        """Return the options that an actor with this seat is started with."""
+        """Return the start options of an actor with this seat."""
         node = None if self._seats is None else _nodes.get(self._key(worker))
         if node is None:
             return {}
         return {"scheduling_strategy": NodeAffinitySchedulingStrategy(node, soft=True)}
 
     def ask_node(self, name: str, actor: Any) -> None:
-        """Ask an actor where it is, before it loads the FMU."""
+        """Request the node of an actor, before it loads the FMU."""
         if self._seats is not None:
             self._asked[name] = actor.node.remote()
 
     def leave(self, name: str) -> None:
-        """Note that an actor is lost: its seat is for the next one, on the same node."""
+        """Free the seat of a lost actor for the next actor, on the same node."""
         if self._seats is None:
             return
         self._note_node(name)
@@ -87,16 +85,16 @@ class ActorSeats:
         self._free.sort()
 
     def close(self) -> None:
-        """Note that all actors have ended."""
+        """Free all seats, after all actors have ended."""
         for name in list(self._of):
             self.leave(name)
 
     def first(self, workers: int) -> list[str]:
-        """Return the actors that have the first seats."""
+        """Return the names of the actors with the first seats."""
         return [name for name, worker in self._of.items() if worker < workers]
 
     def _note_node(self, name: str) -> None:
-        """Remember where an actor was; one that never said so has not loaded anything."""
+        """Record the node of an actor; an actor without an answer has not loaded the FMU."""
         reference = self._asked.pop(name)
         ready, _ = ray.wait([reference], timeout=0)
         if not ready:
@@ -114,26 +112,28 @@ class ActorSeats:
 
 IN_FLIGHT = 2
 SECONDS_OF_FEW_TASKS_ON_RAY = 0.9
-"""Seconds that a few tasks which travel together may take: more than elsewhere, for a message to an
-actor costs milliseconds of its core and of the coordinator's."""
+"""Largest duration of a batch of a few tasks.
+
+It is longer than in other executors, because a message to an actor costs milliseconds of its core
+and of the coordinator's."""
 STRAGGLER_POLL_SECONDS = 0.5
-"""How often stragglers are looked for while nothing comes back."""
+"""Interval of the search for late batches while no outcomes arrive."""
 CLUSTER_SECONDS = 5.0
-"""How often the size of the cluster is looked at."""
+"""Interval of the checks of the cluster's size."""
 LATE, GRACE_SECONDS = 3.0, 0.5
-"""A batch is late after so many times what is usual, and this."""
+"""A batch is late after its expected duration times `LATE`, plus `GRACE_SECONDS`."""
 LOSSES_BEFORE_ALONE, LOSSES_BEFORE_GIVEN_UP = 3, 6
-"""Lost workers after which a task is sent alone, and after which it is not sent any more."""
+"""Number of lost workers after which a task is sent alone, and after which it is given up."""
 START_SECONDS, SECOND_SECONDS = 10.0, 40.0
-"""How long all workers are waited for, once there is one, and the second if it must be asked."""
+"""Waiting time for all workers after the first is ready, and for a required second worker."""
 FAILED_FIRST_STARTS, FAILED_STARTS = 3, 50
-"""Workers in a row that may be lost while they start: the first ones, and later ones."""
+"""Number of workers lost in a row at their start that is an error: first workers, later ones."""
 
 
 class _BatchInFlight(NamedTuple):
-    """A batch on an actor. If `alone`, nothing else is in flight there and it has one task.
+    """A batch on an actor. If `alone`, it has one task and is the actor's only batch.
 
-    `submission` counts how often tasks had been submitted when it was sent.
+    `submission` is the number of calls of `submit` before the batch was sent.
     """
 
     actor: str
@@ -144,7 +144,7 @@ class _BatchInFlight(NamedTuple):
 
 
 class RayPool(WorkerPool):
-    """A pool of Ray actors. For slow or dangerous FMUs, many cores, and clusters."""
+    """A pool of Ray actors, for slow or unreliable FMUs, many cores, and clusters."""
 
     name: ClassVar[str] = "ray"
     in_process: ClassVar[bool] = False
@@ -170,7 +170,7 @@ class RayPool(WorkerPool):
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _BatchInFlight] = {}
         self._suspects: deque[Task] = deque()
-        self._open: dict[int, int] = {}  # by id, the submission a task came with
+        self._open: dict[int, int] = {}  # submission of each task without an outcome, by id
         self._twice: set[int] = set()
         self._lost: Counter[int] = Counter()
         self._started = self._failed = self._submissions = 0
@@ -203,7 +203,7 @@ class RayPool(WorkerPool):
 
     @property
     def workers(self) -> int:  # type: ignore[override]
-        """As many as wanted, or as there are cores at the moment; as many as may have the FMU."""
+        """Requested number, or the current number of cores; limited by the FMU's instances."""
         return self._model.at_most(self._fixed or cores())
 
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
@@ -214,7 +214,7 @@ class RayPool(WorkerPool):
             asked = [actor.once.remote(TaskBatch.of([task])) for task in tasks]
             try:
                 return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]
-            except RayError:  # lost: what is decided by its answers must not depend on that
+            except RayError:  # the actor is lost: repeat, so that decisions do not depend on this
                 self._replace(name)
                 self._wait_for_workers(self.workers, START_SECONDS)
         return []
@@ -228,7 +228,7 @@ class RayPool(WorkerPool):
     def completed(self) -> list[Outcome]:
         outcomes: list[Outcome] = []
         if not self._open and self._flying:
-            self._receive(0.0)  # the other answers to what was asked twice
+            self._receive(0.0)  # second answers to tasks that were sent twice
         while self._open and not outcomes:
             outcomes += self._receive(STRAGGLER_POLL_SECONDS)
             self._look()
@@ -236,7 +236,7 @@ class RayPool(WorkerPool):
         return outcomes
 
     def _receive(self, seconds: float) -> list[Outcome]:
-        """Wait at most so long until something comes back; outcomes that nobody else has given."""
+        """Wait at most `seconds` for answers; return outcomes of tasks without an outcome yet."""
         outcomes: list[Outcome] = []
         waiting = [*self._flying, *self._starting]
         done, _ = ray.wait(waiting, num_returns=1, timeout=seconds)
@@ -270,7 +270,7 @@ class RayPool(WorkerPool):
         )
 
     def _frees_instance(self, name: str) -> bool:
-        """Have an actor let its FMU go; False if it was lost, and another one has its seat."""
+        """Free the instance of an actor; return False if the actor was lost and replaced."""
         for reference in [r for r, (starting, _) in self._starting.items() if starting == name]:
             self._join(reference)
         if name not in self._actors:
@@ -294,7 +294,7 @@ class RayPool(WorkerPool):
             disconnect()
 
     def _wait_for_workers(self, wanted: int, seconds: float) -> None:
-        """Wait for one worker however long it takes, and so long until there are enough."""
+        """Wait for one worker without limit, and at most `seconds` for the wanted number."""
         begin = time.monotonic()
         while self._starting and len(self._actors) < wanted:
             left = max(begin + seconds - time.monotonic(), 0.0) if self._actors else None
@@ -314,7 +314,7 @@ class RayPool(WorkerPool):
             self._starting[actor.ready.remote(worker)] = name, actor
 
     def _join(self, reference: Any) -> None:
-        """A worker is ready, or has failed to start."""
+        """Register a worker that is ready, or process its failure to start."""
         name, actor = self._starting.pop(reference)
         try:
             ray.get(reference)
@@ -330,7 +330,7 @@ class RayPool(WorkerPool):
         self._actors[name] = actor
 
     def _look(self) -> None:
-        """Give what is late to idle workers too; follow a cluster that grows."""
+        """Send late batches to idle workers too, and start workers on new cores."""
         now = time.monotonic()
         if not (self._backlog or self._suspects):
             self._duplicate(now)
@@ -352,7 +352,7 @@ class RayPool(WorkerPool):
                 self._send(idle.pop(), again, alone=flight.alone)
 
     def _fill(self) -> None:
-        """Give idle actors one suspect each, and all others their share of what waits."""
+        """Send one suspect task to each idle actor, and batches to the other actors."""
         load = Counter(flight.actor for flight in self._flying.values())
         for name in self._actors:
             if self._suspects and not load[name]:
@@ -371,15 +371,15 @@ class RayPool(WorkerPool):
         self._flying[reference] = _BatchInFlight(name, batch, alone, begin, submission)
 
     def _unanswered(self, flight: _BatchInFlight) -> set[int]:
-        """Which tasks of a batch nobody has answered.
+        """Return the ids of a batch's tasks without an outcome.
 
-        An id that was answered elsewhere and submitted again since stands for another task.
+        An id that was submitted again after the batch was sent belongs to another task.
         """
         submitted = ((task, self._open.get(task)) for task in flight.batch.ids.tolist())
         return {task for task, at in submitted if at is not None and at <= flight.submission}
 
     def _collect(self, reference: Any) -> list[Outcome]:
-        """Outcomes that nobody else has given yet."""
+        """Return the outcomes of a finished batch for tasks without an outcome yet."""
         flight = self._flying.pop(reference)
         try:
             answers: OutcomeColumns = ray.get(reference)
@@ -402,12 +402,12 @@ class RayPool(WorkerPool):
         return first
 
     def _forget(self, answered: int) -> None:
-        """Do not ask again what was lost on one worker and has been answered by another."""
+        """Remove a task from the queues: one worker lost it, but another has answered it."""
         self._backlog.remove([answered])
         self._suspects = deque(task for task in self._suspects if task.id != answered)
 
     def _recover(self, flight: _BatchInFlight, error: RayError) -> list[Outcome]:
-        """Replace a lost worker and ask again for what it had; outcomes of what is given up."""
+        """Replace a lost worker and queue its tasks again; return outcomes of given-up tasks."""
         self._replace(flight.actor)
         given_up = []
         unanswered = self._unanswered(flight)
@@ -425,7 +425,7 @@ class RayPool(WorkerPool):
         return self._first(given_up, unanswered)
 
     def _replace(self, name: str) -> None:
-        """Start another actor instead of a dead one, which is killed in case it only seems dead."""
+        """Start another actor in place of a lost one; kill the lost actor in case it still runs."""
         actor = self._actors.pop(name, None)
         if actor is not None:
             ray.kill(actor)

@@ -1,6 +1,6 @@
-"""Search methods, which choose the points to evaluate. One file a method.
+"""Search methods, which choose the points to evaluate.
 
-A new method is one file with a subclass of `Method` and one line here.
+A new method needs a file with a subclass of `Method`, and an entry in `SEARCH_METHODS`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ METHOD_ALIASES = {
     "fminbnd": NelderMead.name,
     "patternsearch": PatternSearch.name,
 }
-"""Names that users of other tools know."""
+"""Names of similar functions in other tools."""
 
 __all__ = [
     "METHOD_ALIASES",

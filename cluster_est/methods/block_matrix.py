@@ -1,8 +1,8 @@
-"""The Jacobian of many experiments, stored as the blocks that can differ from zero.
+"""The Jacobian of many experiments, stored as one dense block for each experiment.
 
-The residuals of an experiment depend on the unknowns that act on it, which are few even where each
-experiment has unknowns of its own. One dense block for each experiment holds all of that; the whole
-matrix would grow with the square of the number of experiments.
+The residuals of an experiment depend only on the unknowns that act on it. If each experiment has
+unknowns of its own, the whole matrix grows with the square of the number of experiments. The blocks
+grow linearly with it.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from workers.messages import FloatArray, IntArray
 from workers.messages.types import by_content
 
 LEAST_SIZE = 200
-"""Number of unknowns from which on blocks pay."""
+"""Number of unknowns above which blocks are used."""
 LEAST_RATIO = 4
-"""Entries of the whole matrix over those of the blocks, from which on blocks pay."""
+"""Least ratio of the entries of the whole matrix to the entries of the blocks to use blocks."""
 
 
 @by_content
 @dataclass(frozen=True)
 class BlockMatrix:
-    """A matrix (residuals, unknowns), experiment by experiment.
+    """A matrix (residuals, unknowns) in one block for each experiment.
 
     Attributes
     ----------
     blocks
-        For each experiment (its residuals, the unknowns that act on it).
+        The block of each experiment: (its residuals, the unknowns that act on it).
     columns
-        For each experiment which unknowns these are, each once.
+        Indices of the unknowns that act on each experiment, without duplicates.
     size
         Number of unknowns.
     """
@@ -55,13 +55,13 @@ class BlockMatrix:
 
     @cached_property
     def sparse(self) -> bool:
-        """True if blocks pay; else `dense` is as good and simpler."""
+        """True if blocks save enough memory and work; else use `dense`."""
         entries = sum(block.size for block in self.blocks)
         return self.size > LEAST_SIZE and LEAST_RATIO * entries <= self.row_count * self.size
 
     @cached_property
     def counts(self) -> IntArray:
-        """(unknowns,): the number of experiments that each acts on."""
+        """Number of experiments that each unknown acts on, (unknowns,)."""
         counts = np.zeros(self.size, np.int64)
         for columns in self.columns:
             counts[columns] += 1
@@ -69,7 +69,7 @@ class BlockMatrix:
 
     @cached_property
     def links(self) -> npt.NDArray[np.bool_]:
-        """(unknowns,): whether each acts on two experiments that follow each other, and no more."""
+        """True for unknowns that act on exactly two consecutive experiments, (unknowns,)."""
         first, last = np.full(self.size, -1), np.full(self.size, -1)
         for e, columns in enumerate(self.columns):
             last[columns] = e
@@ -85,14 +85,14 @@ class BlockMatrix:
         return np.sqrt(squares)
 
     def transposed_product(self, values: FloatArray) -> FloatArray:
-        """Return J'v (unknowns,) of one value for each residual."""
+        """Return J'v (unknowns,), from one value for each residual."""
         result = np.zeros(self.size)
         for block, columns, rows in zip(self.blocks, self.columns, self.rows, strict=True):
             result[columns] += np.add.reduce(block * values[rows, None], axis=0)
         return result
 
     def product(self, step: FloatArray) -> FloatArray:
-        """Return J p (residuals,) of one value for each unknown."""
+        """Return J p (residuals,), from one value for each unknown."""
         result = np.zeros(self.row_count)
         for block, columns, rows in zip(self.blocks, self.columns, self.rows, strict=True):
             result[rows] = block @ step[columns]

@@ -1,7 +1,7 @@
 """Adapt libraries that call a function back to searches, which are generators.
 
-The library runs in a thread of its own that is awake only while the generator is being advanced,
-so nothing depends on timing.
+The library runs in its own thread. The thread runs only while the generator is advanced, so the
+result does not depend on timing.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from cluster_est.methods.method import Evaluation, Points, RequestResult, Search
 
 Ask = Callable[[Points], list[Evaluation]]
 MOST_SCIPY_RUNS = 5
-"""Runs of SciPy in one search, of which each but the last met a derivative that was not known."""
+"""Largest number of runs of SciPy in one search; an unknown derivative requires a new run."""
 FAILED_TRIALS_IN_A_ROW = 3
-"""Trial points that failed in a row, after which a short step says nothing of a minimum."""
+"""Number of trial points that failed in a row, after which a short step is no convergence."""
 
 
 class SearchAbandoned(BaseException):
-    """Raised in the library's thread once its search is closed, to unwind the library's stack.
+    """Raised in the library's thread to unwind its stack after the search is closed.
 
-    Not an `Exception`, because libraries catch those.
+    It is not an `Exception`, because libraries catch exceptions.
     """
 
 
 def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
-    """Run `solve(ask)` in a thread and yield the points that it asks for.
+    """Run `solve(ask)` in a thread and yield the points that it requests.
 
     Parameters
     ----------
     solve
-        Calls the library. `ask(points)` blocks until their evaluations are there.
+        Function that calls the library. `ask(points)` blocks until it can return the evaluations.
     """
     requested: queue.SimpleQueue[Points | Solution | BaseException] = queue.SimpleQueue()
     answered: queue.SimpleQueue[list[Evaluation] | None] = queue.SimpleQueue()
@@ -49,7 +49,7 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
             requested.put(solve(ask))
         except SearchAbandoned:
             pass
-        except BaseException as error:  # raised again by the generator, which would wait for ever
+        except BaseException as error:  # the generator raises it again, and does not wait for ever
             requested.put(error)
 
     thread = threading.Thread(target=run, daemon=True)
@@ -70,7 +70,7 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
 def run_with(
     requests: Generator[Points, list[Evaluation], RequestResult], ask: Ask
 ) -> RequestResult:
-    """Return the result of a generator of requests that is answered by `ask` in a callback."""
+    """Return the result of a generator of requests; `ask` evaluates the points."""
     try:
         points = next(requests)
         while True:

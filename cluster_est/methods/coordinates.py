@@ -1,6 +1,6 @@
-"""Scaled coordinates of direct searches: 0 is the start, 1 a noticeable change.
+"""Scaled coordinates of direct searches: 0 is the start, 1 is a noticeable change.
 
-Points are projected here on bounds and constraints on parameters, which cost no simulation.
+Points can be projected on bounds and on constraints on parameters, without a simulation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class NearbyNormals:
     Attributes
     ----------
     inequalities : (inequalities, unknowns)
-        Outward normals of bounds and of inequalities on parameters within a distance.
+        Outward normals of nearby bounds and inequalities on parameters.
     equalities : (equalities, unknowns)
         Normals of equalities on parameters.
     """
@@ -38,13 +38,13 @@ class NearbyNormals:
 
 @dataclass(frozen=True)
 class ScaledCoordinates:
-    """The unknowns of a space in units of a noticeable change, counted from the start."""
+    """The unknowns of a space relative to the start, in units of a noticeable change."""
 
     space: SearchSpace
 
     @cached_property
     def unit(self) -> FloatArray:
-        """(unknowns,): a noticeable change, or the range of the bounds if that is less."""
+        """A noticeable change, or the range of the bounds if that is smaller, (unknowns,)."""
         width = self.space.upper - self.space.lower
         return np.where(
             np.isfinite(width), np.minimum(self.space.typical, width), self.space.typical
@@ -59,7 +59,7 @@ class ScaledCoordinates:
         return (self.space.upper - self.space.start) / self.unit
 
     def x(self, u: FloatArray) -> FloatArray:
-        """Return the point in search coordinates; exactly on a bound where u is."""
+        """Return the point in search coordinates; it is exactly on a bound if u is."""
         inside = np.clip(self.space.start + self.unit * u, self.space.lower, self.space.upper)
         inside = np.where(u <= self.lower, self.space.lower, inside)
         return np.where(u >= self.upper, self.space.upper, inside)
@@ -94,7 +94,8 @@ class ScaledCoordinates:
     def projected(self, u: FloatArray, jacobian: FloatArray | None = None) -> FloatArray | None:
         """Return a point close to u that satisfies bounds and constraints on parameters, if found.
 
-        By Gauss-Newton steps of least length; `jacobian` has derivatives for the first of them.
+        It uses Gauss-Newton steps of least length. `jacobian` holds derivatives for the first
+        steps.
         """
         u = self.clip(u)
         at_bound = np.zeros(len(u), dtype=bool)

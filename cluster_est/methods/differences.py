@@ -1,14 +1,14 @@
 """Derivatives of the residuals by finite differences, one point for each colour of unknowns.
 
-The error of a forward difference is the sum of the simulation's noise over the step and of the
-curvature times the step; it is smallest where the relative step is the square root of the relative
-noise, for a central difference the cube root (P. E. Gill, W. Murray, M. H. Wright, Practical
-Optimization (1981), section 8.6). The noise of a simulation is not that of a double: an adaptive
-solver's result jumps by a part of its tolerance whenever its number of steps changes.
+The error of a forward difference is the sum of the noise divided by the step and the curvature
+times the step. The best relative step is the square root of the relative noise, and the cube root
+for a central difference (P. E. Gill, W. Murray, M. H. Wright, Practical Optimization (1981),
+section 8.6). The noise of a simulation is larger than the rounding of a double. The result of an
+adaptive solver jumps by a part of its tolerance whenever its number of steps changes.
 
-Where a simulation fails, the unknowns that were moved in it are asked for again, on the other side
-and with other steps. A derivative that stays unknown is not 0: such unknowns are frozen at this
-point, and `without_guesses` says so of a search that ends there.
+If a simulation fails, its unknowns are evaluated again on the other side and with other steps. An
+unknown without a derivative is frozen at this point. `without_guesses` changes the ending of a
+search that ends with frozen unknowns.
 """
 
 from __future__ import annotations
@@ -29,26 +29,28 @@ from workers.messages import FloatArray, IntArray, Outcome, Solver
 
 Scheme = Literal["forward", "central"]
 Differences = Literal["auto", "forward", "central", "sensitivities"]
-"""The choices of a user."""
+"""Values of the option `differences`."""
 LARGE_JACOBIAN = 2**23
-"""Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
+"""Number of entries above which a solution may store its Jacobian in blocks."""
 NOISE_OF_TOLERANCE = 1e-3
-"""Part of an adaptive solver's tolerance by which its result jumps."""
+"""Noise of an adaptive solver's result, as a part of its tolerance."""
 NOISE_OF_CVODE = 10.0
-"""Multiple of CVODE's tolerance by which its result jumps, for it changes order and step in leaps;
-1 to 100 on stiff models."""
+"""Noise of CVODE's result, as a multiple of its tolerance.
+
+CVODE changes its order and step abruptly. The multiple is 1 to 100 on stiff models."""
 NOISE_FIXED = 1e-14
+"""Relative noise of a solver with fixed steps, and lower limit for other solvers."""
 NOISE_UNKNOWN = 1e-11
-"""Relative noise of a co-simulation FMU, whose solver is not known."""
+"""Relative noise of a co-simulation FMU, whose solver is unknown."""
 STEP_PARTS: dict[Scheme, tuple[tuple[float, ...], ...]] = {
     "forward": ((1.0,), (-1.0, 0.5), (-0.5, 2.0), (-2.0, 0.25)),
     "central": ((1.0, -1.0), (0.5, -0.5), (2.0, -2.0), (0.25, -0.25)),
 }
-"""Parts of a step, one request after the other until each derivative is known."""
+"""Parts of a step in each request, until each derivative is known."""
 STEP_REDUCTION = 0.9
-"""Factor of the steps where all parts of `STEP_PARTS` have failed."""
+"""Factor of the steps after all parts of `STEP_PARTS` have failed."""
 MOST_NAMED_UNKNOWNS = 6
-"""Unknowns that a sentence names."""
+"""Largest number of unknowns named in a message."""
 
 
 @dataclass(frozen=True)
@@ -58,16 +60,16 @@ class ResidualJacobian:
     Attributes
     ----------
     blocks
-        Of the residuals, (residuals, unknowns); zero in the columns of frozen unknowns.
+        Jacobian of the residuals, (residuals, unknowns); zero in the columns of frozen unknowns.
     frozen : (unknowns,)
         Unknowns whose derivative could not be computed because a simulation failed.
     steps : (unknowns,)
-        The difference step of each unknown.
+        Difference step of each unknown.
     constraint_jacobian : (constraints, unknowns)
         Derivatives of `Evaluation.constraints`; zero in frozen columns too.
     walls : (unknowns,)
-        1 or -1 where no simulation succeeded above or below, but one on the other side; empty where
-        none failed.
+        1 if all simulations above the point failed but one below succeeded; -1 for the reverse; 0
+        otherwise. Empty if the first request gave all derivatives.
     """
 
     blocks: BlockMatrix
@@ -78,22 +80,22 @@ class ResidualJacobian:
 
     @cached_property
     def matrix(self) -> FloatArray:
-        """The residuals' Jacobian as one array (residuals, unknowns)."""
+        """Jacobian of the residuals as one array (residuals, unknowns)."""
         return self.blocks.dense()
 
     @property
     def dense_if_small(self) -> FloatArray | None:
-        """`matrix`, unless it is too large for `Solution.jacobian`."""
+        """`matrix`; None if it is too large for `Solution.jacobian`."""
         return None if self.blocks_if_large is not None else self.matrix
 
     @property
     def blocks_if_large(self) -> BlockMatrix | None:
-        """`blocks`, where the whole matrix is too large."""
+        """`blocks` if the whole matrix is too large, else None."""
         entries = self.blocks.row_count * self.blocks.size
         return self.blocks if self.blocks.sparse and entries > LARGE_JACOBIAN else None
 
     def added_to(self, solution: Solution, space: SearchSpace, *, dense: bool = False) -> Solution:
-        """Return a solution with these derivatives, as one array where small or `dense`."""
+        """Return a solution with these derivatives, as one array if small or if `dense`."""
         large = None if dense else self.blocks_if_large
         found = replace(
             solution,
@@ -108,14 +110,14 @@ class ResidualJacobian:
 def without_guesses(
     space: SearchSpace, solution: Solution, frozen: npt.NDArray[np.bool_]
 ) -> Solution:
-    """Return a solution that claims no minimum in unknowns whose derivatives are not known.
+    """Return a solution that does not count as converged if unknowns have no derivatives.
 
     Parameters
     ----------
     space, solution
-        The space, and what a search found in it.
+        The space, and the solution of a search in it.
     frozen : (unknowns,)
-        The unknowns without derivatives where it ended.
+        True for unknowns without derivatives at the end of the search.
     """
     if not frozen.any() or solution.ending not in (Ending.CONVERGED, Ending.NO_EFFECT):
         return solution
@@ -155,7 +157,7 @@ def difference_steps(
 ) -> FloatArray:
     """Return a step for each unknown, with the sign that keeps forward differences within bounds.
 
-    A relative step of 0 takes the one that suits the simulation's noise.
+    A relative step of 0 selects the step from the simulation's noise.
     """
     if relative <= 0.0:
         relative = suitable_step(space, scheme)
@@ -174,16 +176,16 @@ def jacobian(
     relative_step: float,
     progress: Progress | None,
 ) -> Generator[Points, list[Evaluation], ResidualJacobian]:
-    """Ask for the points of a Jacobian and assemble it.
+    """Request the points of a Jacobian and assemble it.
 
     Parameters
     ----------
     space, x, at
-        The point and its evaluation.
+        The space, the point and its evaluation.
     scheme
         "forward" costs one evaluation for each colour, "central" two.
     relative_step
-        0 for the step that suits the solver.
+        Relative step; 0 selects the step from the noise of the solver.
     """
     steps = difference_steps(space, x, scheme, relative_step)
     beside = Neighbours(x, scheme, space.colours)
@@ -199,14 +201,14 @@ def jacobian(
 
 
 class Neighbours:
-    """Evaluations beside a point, round after round.
+    """Evaluations at neighbours of a point, in rounds of requests.
 
     Parameters
     ----------
     x, scheme
-        The point, and the differences that are made of its neighbours.
+        The point, and the scheme of the differences.
     groups
-        Unknowns that are moved in one point, group after group.
+        Groups of unknowns that move together in one point.
     """
 
     def __init__(self, x: FloatArray, scheme: Scheme, groups: Sequence[IntArray]) -> None:
@@ -225,7 +227,7 @@ class Neighbours:
         purpose: str,
         progress: Progress | None,
     ) -> Generator[Points, list[Evaluation], None]:
-        """Ask, in one request, for points at parts of the steps of the unknowns that are wanted."""
+        """Evaluate, in one request, points at parts of the steps of the `wanted` unknowns."""
         chosen = [g for g, members in enumerate(self._groups) if wanted[members].any()]
         points = np.tile(self.x, (len(parts), len(chosen), 1))
         for place, part in zip(points, parts, strict=True):
@@ -261,9 +263,10 @@ class Neighbours:
         Parameters
         ----------
         i
-            The unknown.
+            Index of the unknown.
         at, value
-            The value at the point, and that of an evaluation; None where it has none.
+            The value at the point, and the function that returns the value of an evaluation. It
+            returns None if the value is undefined.
         """
         group = int(self._group_of[i])
         asked = [each[group] for each in self._rounds if group in each]
@@ -282,7 +285,7 @@ class Neighbours:
 def _slope_of_parabola(
     at: FloatArray, one: tuple[float, FloatArray], other: tuple[float, FloatArray]
 ) -> FloatArray:
-    """Return the slope at a point from values at two distances from it, of second order."""
+    """Return the slope at a point to second order, from values at two distances from it."""
     (h, first), (k, second) = one, other
     return np.asarray(((first - at) * (k / h) - (second - at) * (h / k)) / (k - h))
 
@@ -290,7 +293,7 @@ def _slope_of_parabola(
 def _assemble(
     space: SearchSpace, at: Evaluation, steps: FloatArray, beside: Neighbours
 ) -> ResidualJacobian:
-    """Take each unknown's column from the experiments that it acts on, in its group's points."""
+    """Return the Jacobian from the evaluated neighbours; freeze unknowns without a derivative."""
     pairs = zip(at.rows, space.acting, strict=True)
     blocks = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
     constraints = np.zeros((len(space.constraint_names), space.size))
@@ -324,7 +327,7 @@ def _assemble(
 
 
 def _values(outcome: Outcome) -> FloatArray | None:
-    """Return the residuals, and behind them the constraints; None if one of them has no value."""
+    """Return the residuals and then the constraints; None if the values are undefined."""
     if outcome.residuals is None or not len(outcome.constraints):
         return outcome.residuals
     if not np.isfinite(outcome.constraints).all():

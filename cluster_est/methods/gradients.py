@@ -1,15 +1,15 @@
-"""Jacobians and gradients: by the sensitivities of the model while they hold, else by differences.
+"""Jacobians and gradients, from sensitivities of the model or from finite differences.
 
-A worker gives the derivatives of the residuals by the physical values (see
-`workers.simulation.sensitivities`); the chain rule gives those by the unknowns. The first of them
-is checked against a central difference along one direction, in which each unknown that matters
-moves the residuals equally much: an FMU's directional derivatives may be wrong. Differences take
-their place where they are, or where the model has none.
+A worker computes the derivatives of the residuals by the physical values (see
+`workers.simulation.sensitivities`). The chain rule gives the derivatives by the unknowns. An FMU's
+directional derivatives may be wrong. So the first Jacobian is checked against a central difference
+along one direction, in which all relevant unknowns change the residuals equally. Differences are
+used if the sensitivities are wrong, or if the model has none.
 
-Where the cost gives weights w to the residuals r, its gradient 2 J'(w r) follows from this
-Jacobian: exact but for the differences in J, and one point for each colour of unknowns. Differences
-of the cost itself, and of constraints, lose twice the digits near a minimum and need a point for
-each unknown, because a coloured point mixes the changes of several.
+If the cost gives weights w to the residuals r, its gradient is 2 J'(w r). It is exact except for
+the differences in J, and needs one point for each colour of unknowns. Differences of the cost
+itself lose twice as many digits near a minimum. They need a point for each unknown, because a
+coloured point mixes the changes of several unknowns.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 CHAIN_STEP = 6e-6
-"""Relative, of the differences of physical values by the unknowns: formulas, of no noise."""
+"""Relative step of the derivatives of physical values by unknowns; the formulas have no noise."""
 LENGTHENING = 10.0
-"""Factor by which steps are lengthened where simulations are noisier than what is known of them."""
+"""Factor of longer difference steps, for simulations with more noise than the solver suggests."""
 LONGEST_DIFFERENCE_STEP = 0.03
-"""Longest relative step of differences; longer ones would show another function."""
+"""Longest relative step of differences; longer steps have a large truncation error."""
 SENSITIVITY_AGREEMENT = 1e-3
-"""Part of their size by which the residuals' changes may differ in the check."""
+"""Largest relative error of the residuals' changes in the check of sensitivities."""
 LEAST_EFFECT = 1e-3
-"""An unknown that matters less than this part of the one that matters most is checked less."""
+"""Lower limit of an unknown's effect in the check, relative to the largest effect."""
 
 JacobianRequests = Generator[Points, list[Evaluation], ResidualJacobian]
 
@@ -56,14 +56,17 @@ class JacobianProvider:
     Parameters
     ----------
     differences
-        "sensitivities" for the model's forward sensitivities, and as "auto" where it has none.
+        Option of the method. "sensitivities" uses the model's forward sensitivities, and is "auto"
+        if the model has none.
+    space, relative_step
+        The search space, and the relative step of the differences; 0 selects it automatically.
 
     Attributes
     ----------
     scheme
-        Of the differences; None as long as sensitivities are taken.
+        Scheme of the differences; None while sensitivities are used.
     note
-        The reason for differences instead of sensitivities; "" without one.
+        Message about the use of differences, for the user; may be "".
     """
 
     def __init__(self, space: SearchSpace, differences: Differences, relative_step: float) -> None:
@@ -78,20 +81,20 @@ class JacobianProvider:
 
     @property
     def exact(self) -> bool:
-        """True if there are no more exact ones."""
+        """True if no more accurate derivatives are available."""
         return self.scheme != "forward"
 
     def refine(self) -> bool:
-        """Change from forward to central differences if the user left that open; return whether."""
+        """Change from forward to central differences, if allowed; return whether it changed."""
         if not self._automatic or self.exact:
             return False
         self.scheme = "central"
         return True
 
     def lengthen(self) -> bool:
-        """Take longer differences if the user left that open; return whether.
+        """Lengthen the difference steps, if allowed; return whether they changed.
 
-        For simulations that are noisier than what is known of their solver.
+        Use it for simulations with more noise than the solver's tolerance suggests.
         """
         relative = self._relative(LENGTHENING * self._longer)
         if not self._automatic or self._relative_step > 0.0 or self.scheme is None:
@@ -106,7 +109,7 @@ class JacobianProvider:
         return True
 
     def _relative(self, longer: float) -> float:
-        """Relative step of the differences; that of the user, or what suits the noise."""
+        """Return the relative step: the user's, or the step from the noise times `longer`."""
         if self._relative_step > 0.0:
             return self._relative_step
         return longer * suitable_step(self._space, self.scheme or "central")
@@ -114,7 +117,7 @@ class JacobianProvider:
     def jacobian(
         self, scaled: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
     ) -> JacobianRequests:
-        """Ask for a Jacobian; `scaled` is the space with the sizes for central differences."""
+        """Compute a Jacobian; `scaled` is the space with the sizes for central differences."""
         if self.scheme is None:
             found = yield from forward_sensitivities(self._space, x, at, progress)
             if isinstance(found, ResidualJacobian) and not self._checked:
@@ -131,7 +134,7 @@ class JacobianProvider:
 
 @dataclass(frozen=True)
 class UnusableSensitivities:
-    """Sensitivities that a model does not give, or that are wrong, and why."""
+    """The reason why the sensitivities of a model are missing or wrong."""
 
     reason: str
 
@@ -139,7 +142,7 @@ class UnusableSensitivities:
 def forward_sensitivities(
     space: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
 ) -> Generator[Points, list[Evaluation], ResidualJacobian | UnusableSensitivities]:
-    """Ask for one point with sensitivities and make the Jacobian of them."""
+    """Evaluate one point with sensitivities and return their Jacobian."""
     (found,) = yield Points(x[None, :], "sensitivities", progress, sensitivities=True)
     constraints = np.zeros((len(space.constraint_names), space.size))
     on_parameters = space.parameter_constraint_jacobian(x)
@@ -169,7 +172,7 @@ def forward_sensitivities(
 
 
 def _physical_derivatives(space: SearchSpace, x: FloatArray) -> list[FloatArray]:
-    """Return, for each experiment, (parameters, unknowns that act on it): d physical / d x."""
+    """Return d physical / d x for each experiment: (parameters, unknowns that act on it)."""
     steps = CHAIN_STEP * np.where(x == 0.0, 1.0, np.maximum(np.abs(x), 1e-3 * space.typical))
     factors = [np.zeros((len(space.problem.model.parameters), len(c))) for c in space.acting]
     colour_of = np.zeros(space.size, np.intp)
@@ -191,7 +194,7 @@ def _physical_derivatives(space: SearchSpace, x: FloatArray) -> list[FloatArray]
 def check_sensitivities(
     space: SearchSpace, x: FloatArray, found: ResidualJacobian
 ) -> Generator[Points, list[Evaluation], UnusableSensitivities | None]:
-    """Compare a Jacobian with a difference along one direction; return what is wrong, if it is."""
+    """Compare a Jacobian with a difference along one direction; return the error, if any."""
     x_plus, x_minus = _check_points(space, x, found)
     plus, minus = yield Points(np.vstack([x_plus, x_minus]), "sensitivities_check")
     if not (plus.ok and minus.ok):
@@ -216,7 +219,7 @@ def check_sensitivities(
 def _check_points(
     space: SearchSpace, x: FloatArray, found: ResidualJacobian
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two points between which each unknown that matters changes the residuals as much."""
+    """Return two points between which all relevant unknowns change the residuals equally."""
     sizes = np.where(space.logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
     effects = np.sqrt(np.add.reduce(found.matrix**2, axis=0)) * sizes
     effects = np.maximum(effects, LEAST_EFFECT * effects.max(initial=0.0))
@@ -236,16 +239,16 @@ class CostDerivatives:
     Attributes
     ----------
     gradient : (unknowns,)
-        Of the cost; zero for frozen unknowns.
+        Gradient of the cost; zero for frozen unknowns.
     constraint_jacobian : (constraints, unknowns)
-        Of `Evaluation.constraints`; zero in frozen columns, too.
+        Jacobian of `Evaluation.constraints`; zero in frozen columns, too.
     gauss_newton : (unknowns, unknowns) or None
-        2 J'WJ, the Gauss-Newton matrix of the cost, where it has weights.
+        2 J'WJ, the Gauss-Newton matrix of the cost, if the cost has weights.
     frozen : (unknowns,)
         Unknowns whose derivatives could not be computed, because a simulation failed or a
-        constraint has no value close by.
+        constraint is undefined at a neighbour.
     residual_jacobian
-        The Jacobian of the residuals, where the cost has weights.
+        Jacobian of the residuals, if the cost has weights.
     walls
         See `ResidualJacobian.walls`.
     """
@@ -268,21 +271,21 @@ def derivatives(
     *,
     provider: JacobianProvider | None = None,
 ) -> Generator[Points, list[Evaluation], CostDerivatives]:
-    """Ask, in one request, for all that the derivatives at `x` need.
+    """Compute the derivatives of cost and constraints at `x`.
 
     Parameters
     ----------
     space, x, at
-        The point and its evaluation, which is `ok`.
+        The space, the point and its evaluation, which must be `ok`.
     scheme
-        "forward" costs one evaluation for each colour of unknowns, or for each unknown where the
-        cost has no weights; "central" costs two.
+        "forward" costs one evaluation for each colour of unknowns, or for each unknown if the cost
+        has no weights; "central" costs two.
     relative_step
-        0 for the step that suits the solver.
+        Relative step; 0 selects the step from the noise of the solver.
     progress
-        For the table of iterations.
+        Line of the iteration table.
     provider
-        The source of Jacobians, in place of `scheme` and `relative_step`.
+        Source of Jacobians, in place of `scheme` and `relative_step`.
     """
     residuals = at.residuals
     weights = space.problem.cost.weights(residuals, space.outputs)
@@ -298,7 +301,7 @@ def derivatives(
 def _from_jacobian(
     jacobians: ResidualJacobian, residuals: FloatArray, weights: FloatArray
 ) -> CostDerivatives:
-    """Return 2 J'Wr and 2 J'WJ."""
+    """Return the derivatives of a cost with weights: 2 J'Wr and 2 J'WJ."""
     weighted = jacobians.matrix * weights[:, None]
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
     gauss_newton = 2.0 * (jacobians.matrix.T @ weighted)
@@ -320,7 +323,7 @@ def _cost_differences(
     relative_step: float,
     progress: Progress | None,
 ) -> Generator[Points, list[Evaluation], CostDerivatives]:
-    """Ask for differences of the cost itself: a point for each unknown, or two."""
+    """Compute differences of the cost itself, with one or two points for each unknown."""
     steps = difference_steps(space, x, scheme, relative_step)
     beside = Neighbours(x, scheme, [np.array([i], np.intp) for i in range(space.size)])
     purpose = "gradient" if scheme == "forward" else "gradient_central"
@@ -341,6 +344,6 @@ def _cost_differences(
 
 
 def _values(at: Evaluation) -> FloatArray | None:
-    """Return the cost, and behind it the constraints; None if one of them has no value."""
+    """Return the cost and then the constraints; None if one of them is undefined."""
     values = np.array([at.cost, *at.constraints])
     return values if np.isfinite(values).all() else None

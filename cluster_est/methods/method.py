@@ -1,17 +1,16 @@
-"""The contract of a method: a generator that asks for points and is sent their evaluations.
+"""The interface of a method: a generator that yields points and receives their evaluations.
 
     evaluations = yield Points(x, "trial")
     ...
     return Solution(...)
 
-A method does not know where simulations run, in which order they end, or how many workers there
-are. Everything in one `Points` may run at the same time; the evaluations come back in the
-order of the rows. Resuming a run needs nothing from a method either: it is run again from the
-start and answered from the log.
+A method does not depend on the place and order of the simulations, or on the number of workers. All
+points of one `Points` may run at the same time. The evaluations are in the order of the rows. A
+method needs no code to resume a run: the run starts again, and takes its evaluations from the log.
 
-An asynchronous method asks with `Points(..., asynchronous=True)` and is sent whatever has
-come back since, at least one evaluation, each with its `index`: the number of the point among all
-that the search has asked for. It may ask for no points, only to wait.
+An asynchronous method yields `Points(..., asynchronous=True)`. It receives all evaluations that are
+new, at least one. The `index` of an evaluation is the number of its point among all points of the
+search. The method may yield no points in order to wait.
 """
 
 from __future__ import annotations
@@ -42,19 +41,19 @@ class Progress:
     Attributes
     ----------
     iteration
-        0 is the start.
+        Number of the iteration; 0 is the start.
     cost
-        Of the best point so far.
+        Cost of the best point so far.
     step
         Length of the last step, in units of each unknown's own scale.
     optimality
-        Distance from a minimum; 0 at one.
+        Distance from a minimum; 0 at a minimum.
     damping
         The method's damping, mesh or simplex size.
     violation
         Largest violation of a constraint at the best point; NaN without constraints.
     ending
-        Name of the ending, in the last line of a search; the runner writes that one.
+        Name of the ending, in the last line of a search; the runner writes the last line.
     """
 
     iteration: int
@@ -76,24 +75,24 @@ class Points:
     x : (points, unknowns)
         In search coordinates.
     purpose
-        In one word, for the log: "start", "jacobian", "trial", ...
+        Purpose in one word, for the log: "start", "jacobian", "trial", ...
     progress
         A line for the display and the table.
     asynchronous
-        Answer as soon as any point of this search is there, and with all that are.
+        Return evaluations as soon as any point of this search is evaluated, and all that are.
     drop
-        Indices of earlier asynchronous points that are not wanted any more; they are not answered.
+        Indices of earlier asynchronous points to cancel; they get no evaluation.
     sensitivities
-        Ask for the derivatives of the residuals too, in `Outcome.sensitivities`, where the model
-        can give them.
+        Compute the derivatives of the residuals too, in `Outcome.sensitivities`, if the model
+        supports them.
     follow_up
-        Further points without which these are of no use. Where a budget has no room for both, they
-        are not evaluated, and a `BudgetTooShortError` is raised in the search; see `within_budget`.
+        Number of further points without which these points are useless. If the budget is too small
+        for both, none is evaluated, and a `BudgetTooShortError` is raised in the search; see
+        `within_budget`.
     bounds : (points,) or None
-        Costs above which nothing more need be known of a point, not even its cost: simulations of
-        it may be ended early, and the answer is then that of a point that failed. Only for points
-        that a method treats alike whatever they cost beyond the bound; it takes effect where the
-        cost is the sum of squares.
+        Upper limits of the costs. A simulation may end early if its point exceeds the limit; the
+        evaluation then is a failed one. Use them only if the method treats all points above the
+        limit alike. They take effect if the cost is the sum of squares.
     """
 
     x: FloatArray
@@ -107,27 +106,28 @@ class Points:
 
 
 TOLERANCE = 1e-6
-"""A violation up to this counts as none: constraints are in units of their own scale."""
+"""Largest violation that counts as none; constraints are in units of their own scale."""
 
 
 @by_content
 @dataclass(frozen=True)
 class Evaluation:
-    """The answer for one point: the outcome of each experiment, in their order.
+    """The evaluation of one point: the outcomes of all experiments, and cost and constraints.
 
     Attributes
     ----------
     outcomes
-        One for each experiment of the space.
+        One outcome for each experiment of the space, in their order.
     cost
-        NaN where a simulation failed.
+        Cost of the point; NaN if a simulation failed.
     constraints : (constraints,)
-        In the order of `Space.constraint_names`: at most 0, or 0 where `Space.equality`, if they
-        are satisfied. Empty where there are none, or a simulation failed.
+        Values in the order of `SearchSpace.constraint_names`. A satisfied constraint is at most 0,
+        or 0 if it is an equality (`SearchSpace.equality`). Empty without constraints or if a
+        simulation failed.
     violation
-        The largest of their violations; 0 where all are satisfied, NaN where a simulation failed.
+        Largest violation of a constraint; 0 if all are satisfied, NaN if a simulation failed.
     index
-        The number of the point among all that its search has asked for.
+        Number of the point among all points of its search.
     """
 
     outcomes: tuple[Outcome, ...] = field(repr=False)
@@ -147,10 +147,10 @@ class Evaluation:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Less is better: feasible points by their cost, all others by their violation.
+        """Sort key, best first: feasible points by cost, then infeasible points by violation.
 
-        The rules of K. Deb, Comput. Methods Appl. Mech. Engrg. 186 (2000) 311-338,
-        doi:10.1016/S0045-7825(99)00389-8. Failed points come last.
+        These are the rules of K. Deb, Comput. Methods Appl. Mech. Engrg. 186 (2000) 311-338,
+        doi:10.1016/S0045-7825(99)00389-8. Failed points are last.
         """
         if not self.ok or math.isnan(self.cost):
             return np.inf, np.inf
@@ -158,10 +158,10 @@ class Evaluation:
 
     @property
     def residuals(self) -> FloatArray:
-        """All residuals, experiment after experiment, with their priors; only where `ok`.
+        """All residuals, experiment after experiment, with their priors; only if `ok`.
 
-        One number for each output instead, where the experiment is long and the method does not
-        need every residual.
+        If the method does not need every residual, a long experiment has one number for each
+        output instead.
         """
         return joined_residuals(self.outcomes)
 
@@ -173,7 +173,7 @@ class Evaluation:
 
     @property
     def steps(self) -> int:
-        """Steps that the solver made in all simulations; 0 where a solver does not count them."""
+        """Number of solver steps in all simulations; 0 if a solver does not count them."""
         return sum(outcome.steps for outcome in self.outcomes)
 
     @property
@@ -196,7 +196,7 @@ Search = Generator[Points, list[Evaluation], "Solution"]
 
 
 class Ending(enum.StrEnum):
-    """The end of a search. A member's text is what a person reads."""
+    """The reason why a search ended. A member's value is the text for the user."""
 
     CONVERGED = "converged"
     PERFECT = "the residuals are zero"
@@ -220,7 +220,7 @@ class Ending(enum.StrEnum):
 @by_content
 @dataclass(frozen=True)
 class OtherPoint:
-    """A point that a search found besides its solution; `objectives` are costs kept apart."""
+    """A point that a search found besides its solution; `objectives` are its separate costs."""
 
     x: FloatArray
     cost: float
@@ -237,26 +237,26 @@ class Solution:
     x : (unknowns,)
         The best point, in search coordinates.
     cost
-        Its cost; NaN if not even the start could be simulated.
+        Cost at `x`; NaN if the start could not be simulated.
     ending, message
-        The reason why it stopped.
+        The reason why the search ended.
     iterations
-        Their number.
+        Number of iterations.
     jacobian : (residuals, unknowns) or None
-        d residuals / d x at `x`, where the method has it and it is not too large.
+        d residuals / d x at `x`, if the method computes it and it is not too large.
     block_jacobian
-        The same, experiment by experiment, where it is too large for one array.
+        The same Jacobian as blocks of experiments, if it is too large for one array.
     difference_steps : (unknowns,) or None
-        Steps of its finite differences, in search coordinates.
+        Steps of the Jacobian's finite differences, in search coordinates.
     frozen : (unknowns,) or None
-        Unknowns whose column is 0 because simulations for it failed; None where none did.
+        Unknowns whose column is 0 because simulations failed; None if there are none.
     at
-        The evaluation at `x`, where the method has it. That of a fit has every residual, unless the
-        point could not be simulated again.
+        The evaluation at `x`, if the method has it. The evaluation of a fit has every residual,
+        unless the point could not be simulated again.
     others
-        Further points worth keeping, best first: a Pareto front, or the minima of other starts.
+        Further points, best first: a Pareto front, or the minima of other starts.
     evaluations
-        Of every point in its order, where the method only evaluates points that it was given.
+        Evaluations of all points in their order, if the method only evaluates given points.
     """
 
     x: FloatArray
@@ -277,38 +277,41 @@ class Method(ABC):
     """A search method; its attributes are its options."""
 
     name: ClassVar[str]
-    """Its name in a config."""
+    """Name of the method in a config."""
 
     needs_residuals: ClassVar[bool]
-    """True if it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
+    """True if the method works on residuals with `Cost.weights`; False if any cost suits."""
 
     needs_every_residual: ClassVar[bool] = True
-    """True if it looks at single residuals. If not, long experiments may be answered with one
-    number for each output in their place (`Cost.reduction`): costs are the same to rounding, and
-    the space that it is given says what belongs to which output."""
+    """True if the method uses single residuals.
+
+    If False, a long experiment may have one number for each output instead of its residuals
+    (`Cost.reduction`). Costs are the same to rounding. The space assigns the numbers to outputs."""
 
     keeps_constraints: ClassVar[bool] = False
-    """True if it can satisfy constraints other than bounds."""
+    """True if the method supports constraints other than bounds."""
 
     keeps_equality: ClassVar[bool] = True
-    """True if these may be equalities too; means nothing without `keeps_constraints`."""
+    """True if the method supports equality constraints; irrelevant without `keeps_constraints`."""
 
     needs_bounds: ClassVar[bool] = False
-    """True if every unknown must have finite bounds, which `check` then asks for."""
+    """True if every unknown must have finite bounds; `check` must test this."""
 
     asynchronous: ClassVar[bool] = False
-    """True if its result may depend on the order in which simulations end."""
+    """True if the result may depend on the order in which simulations end."""
 
     def __init_subclass__(cls) -> None:
         check_class_attributes(cls)
 
     def check(self, space: SearchSpace) -> None:  # noqa: B027 - a method may have nothing to refuse
-        """Refuse, before anything is simulated, a space that this method cannot search.
+        """Raise an error, before any simulation, if this method cannot search a space.
+
+        The default accepts every space.
 
         Raises
         ------
         ProblemError
-            With what to change. The default accepts every space.
+            With a message that names the necessary change.
         """
 
     @abstractmethod
@@ -320,14 +323,14 @@ class Method(ABC):
         space
             The unknowns, their starts and bounds.
         generator
-            The only source of chance that a method may use.
+            The only random number generator that a method may use.
         """
 
 
 CUT_SHORT = (
     f"{Ending.STALLED}: the steps became too short, because simulations at longer steps failed"
 )
-"""The message of a search that ends there."""
+"""Message of a search that stalled because simulations at longer steps failed."""
 
 
 def is_defined(at: Evaluation) -> bool:
@@ -336,12 +339,12 @@ def is_defined(at: Evaluation) -> bool:
 
 
 def undefined_reason(at: Evaluation) -> str:
-    """Return why the values of an evaluation are not defined, for a message."""
+    """Return the reason why the values of an evaluation are undefined, for a message."""
     return at.reason or "the cost or a constraint has no value at this point"
 
 
 def worst_constraint(space: SearchSpace, at: Evaluation) -> str:
-    """Return a sentence on the constraint that is violated most, and by how much."""
+    """Return a sentence with the most violated constraint and its violation; "" without one."""
     values = at.constraints
     if not len(values):
         return ""
@@ -355,19 +358,19 @@ RequestResult = TypeVar("RequestResult")
 
 
 class BudgetTooShortError(Exception):
-    """A budget has no room for points and those that must follow them; see `Points.follow_up`.
+    """The budget is too small for points and their follow-up points; see `Points.follow_up`.
 
-    It is raised in a search, which catches it, and goes on with fewer points or ends.
+    It is raised in a search. The search catches it, and goes on with fewer points or ends.
     """
 
 
 def within_budget(
     requests: Generator[Points, list[Evaluation], RequestResult], follow_up: int
 ) -> Generator[Points, list[Evaluation], RequestResult | None]:
-    """Make requests that are of no use without some further points.
+    """Make requests that are useless without some further points.
 
-    Returns what they return; None where a budget has no room for one of them and the points that
-    must follow.
+    Returns the result of the requests. Returns None if the budget is too small for a request and
+    the follow-up points.
     """
     answers: list[Evaluation] | None = None
     while True:
@@ -386,14 +389,14 @@ def within_budget(
 @by_content
 @dataclass(frozen=True)
 class GivenPoints(Method):
-    """Evaluate points, and end at the best of them; the solution carries all evaluations.
+    """Evaluate given points and return the best of them, with all evaluations.
 
     Attributes
     ----------
     points : (points, unknowns)
-        In search coordinates.
+        The points, in search coordinates.
     purpose
-        For the log.
+        Purpose of the points, for the log.
     """
 
     name: ClassVar[str] = "look"

@@ -1,22 +1,22 @@
 """The simplex search of Nelder and Mead, serial or with several vertices moved at once.
 
-The worst vertex of a simplex is reflected at the centre of the others, further if that leads to a
-new best point, less far if it does not help; if nothing helps, the simplex shrinks.
+The method reflects the worst vertex of a simplex at the centre of the other vertices. If the
+reflection is a new best point, the method tries a longer move. If the reflection does not help, it
+tries a shorter move. If no move helps, the simplex shrinks.
 
 References: J. A. Nelder, R. Mead, A simplex method for function minimization, Comput. J. 7 (1965)
 308-313, doi:10.1093/comjnl/7.4.308. Several vertices at once: D. Lee, M. Wiswall, A parallel
 implementation of the simplex function minimization routine, Comput. Econ. 30 (2007) 171-187,
 doi:10.1007/s10614-007-9094-2. Coefficients by the number of unknowns: F. Gao, L. Han, Implementing
 the Nelder-Mead simplex algorithm with adaptive parameters, Comput. Optim. Appl. 51 (2012) 259-277,
-doi:10.1007/s10589-010-9329-3. That the simplex may collapse where there is no minimum, and is then
-to be replaced by an oriented one: C. T. Kelley, Detection and remediation of stagnation in the
-Nelder-Mead algorithm using a sufficient decrease condition, SIAM J. Optim. 10 (1999) 43-55,
-doi:10.1137/S1052623497315203; it is detected here by a poll around the best vertex.
+doi:10.1007/s10589-010-9329-3. Restart after a collapse away from a minimum: C. T. Kelley, Detection
+and remediation of stagnation in the Nelder-Mead algorithm using a sufficient decrease condition,
+SIAM J. Optim. 10 (1999) 43-55, doi:10.1137/S1052623497315203. Here, a poll around the best vertex
+detects the collapse.
 
-One unknown: a bracket around a minimum, then `scipy.optimize.minimize_scalar` within it.
-
-SciPy's bounded method is golden section with parabolas, of R. P. Brent, Algorithms for Minimization
-without Derivatives, Prentice-Hall 1973.
+With one unknown the method brackets a minimum and then calls `scipy.optimize.minimize_scalar`.
+SciPy's bounded method combines golden section with parabolas: R. P. Brent, Algorithms for
+Minimization without Derivatives, Prentice-Hall 1973.
 """
 
 from __future__ import annotations
@@ -54,16 +54,17 @@ class SimplexVertex:
 
     @property
     def cost(self) -> float:
-        """Infinite where a simulation failed; constraints are ignored."""
+        """Cost without constraints; infinite if a simulation failed."""
         return self.at.rank[1]
 
 
 @dataclass(frozen=True)
 class VertexMoves:
-    """Coefficients of the moves of a vertex along the line through the centre of the others.
+    """Coefficients of the moves of a vertex along its line through the centre of the others.
 
-    Each is the distance from the centre, in units of the vertex's own; negative on the far side.
-    `shrink` is the factor of all distances from the best vertex when no move helps.
+    A coefficient is a distance from the centre, relative to the vertex's distance from the centre.
+    It is negative on the far side. `shrink` is the factor of all distances from the best vertex if
+    no move helps.
     """
 
     reflect: float = -1.0
@@ -74,16 +75,16 @@ class VertexMoves:
 
     @property
     def along(self) -> tuple[float, ...]:
-        """All moves that a path may request."""
+        """All moves that `path` may yield."""
         return self.reflect, self.expand, self.outside, self.inside
 
     def path(
         self, vertex: SimplexVertex, fixed: list[SimplexVertex]
     ) -> Generator[float, SimplexVertex, SimplexVertex]:
-        """Yield the moves that a vertex tries one after the other; return where it ends.
+        """Yield the moves of a vertex one after the other; return the final vertex.
 
-        That is the vertex itself if nothing is better. Of the vertices that are `fixed` the
-        first is the best and the last the worst.
+        The final vertex is `vertex` itself if no move is better. `fixed` holds the vertices that
+        do not move, best first.
         """
         reflected = yield self.reflect
         if reflected.cost < fixed[0].cost:
@@ -99,20 +100,20 @@ class VertexMoves:
 
     @classmethod
     def adaptive(cls, size: int) -> VertexMoves:
-        """Return the coefficients of Gao and Han; the usual ones for one or two unknowns."""
+        """Return the coefficients of Gao and Han; the classical ones for up to two unknowns."""
         n = max(size, 2)
         contraction = 0.75 - 0.5 / n
         return cls(-1.0, -1.0 - 2.0 / n, -contraction, contraction, 1.0 - 1.0 / n)
 
 
 def axis_points(coordinates: ScaledCoordinates, u: FloatArray, step: float) -> FloatArray:
-    """Return (unknowns, 2, unknowns): steps up and down each axis, as far as bounds allow."""
+    """Return points a step up and down each axis, within bounds: (unknowns, 2, unknowns)."""
     steps = step * np.eye(len(u))
     return coordinates.clip(np.stack([u + steps, u - steps], axis=1))
 
 
 def corners(coordinates: ScaledCoordinates, u: FloatArray, step: float) -> FloatArray:
-    """Return (unknowns, unknowns): a step up each axis, or down where bounds allow a longer one."""
+    """Return one point on each axis, on the side with the longer step: (unknowns, unknowns)."""
     both = axis_points(coordinates, u, step)
     lengths = np.abs(both - u).max(axis=2)
     further: FloatArray = both[np.arange(len(u)), np.argmax(lengths, axis=1)]
@@ -130,33 +131,33 @@ def spread(simplex: list[SimplexVertex]) -> float:
 
 
 def ordered(vertices: Iterable[SimplexVertex]) -> list[SimplexVertex]:
-    """Return the vertices, best first; those of the same cost keep their order."""
+    """Return the vertices, best first; vertices of equal cost keep their order."""
     return sorted(vertices, key=lambda v: v.cost)
 
 
 LEAST_TOLERANCE = 1e-12
-"""SciPy would not end without any."""
+"""Least tolerance of the line search; SciPy does not end with a tolerance of 0."""
 
 
 class _LineSearch:
-    """Searches one unknown.
+    """Search for a minimum in one unknown.
 
-    Where both bounds are finite it searches all between them, as it is usual, and around the start
-    only if that was better than all it found. Otherwise it goes downhill from the start, with
-    steps that double, until the cost rises or a bound is met.
+    If both bounds are finite, it searches the interval between them. It searches around the start
+    only if the start was better than every point of the interval. Otherwise it goes downhill from
+    the start, with steps that double, until the cost rises or a bound is reached.
 
     Parameters
     ----------
     space
-        With one unknown.
+        Search space with one unknown.
     start
-        The evaluation at its start.
+        Evaluation at the start of the space.
     step
         First step downhill, in noticeable changes.
     xtol
         Tolerance of the minimum, in noticeable changes.
     max_evaluations
-        Limit, apart from a few.
+        Approximate limit on the number of evaluations.
     """
 
     def __init__(
@@ -188,11 +189,11 @@ class _LineSearch:
 
     def _between(self, ask: Ask, low: float, high: float) -> bool:
         """Search an interval; return whether the search converged."""
-        from scipy.optimize import minimize_scalar  # slow to import: only a search imports it
+        from scipy.optimize import minimize_scalar  # imported here because the import is slow
 
         if not self._left > 0:
             return False
-        with np.errstate(all="ignore"):  # of differences of infinite costs
+        with np.errstate(all="ignore"):  # differences of infinite costs
             result = minimize_scalar(
                 lambda u: self._costs(ask, [float(u)], "trial")[0],
                 bounds=(low, high),
@@ -202,7 +203,7 @@ class _LineSearch:
         return bool(result.status != 1)
 
     def _bracket(self, ask: Ask, lower: float, upper: float) -> tuple[float, float]:
-        """Step downhill from the start until there is a minimum between two points; return them."""
+        """Step downhill from the start; return two points with a minimum between them."""
         step = self._step
         ends = [max(-step, lower), min(step, upper)]
         costs = self._costs(ask, ends, "bracket")
@@ -221,7 +222,7 @@ class _LineSearch:
         return min(previous, current), max(previous, current)
 
     def _costs(self, ask: Ask, at: list[float], purpose: str) -> list[float]:
-        """Ask for costs; infinite where a simulation failed."""
+        """Return the costs at points; infinite if a simulation failed."""
         u = np.array(at)[:, None]
         evaluations = ask(Points(self._coordinates.x(u), purpose, self._progress))
         found = [SimplexVertex(*pair) for pair in zip(u, evaluations, strict=True)]
@@ -235,7 +236,7 @@ class _LineSearch:
 
 
 NEGLIGIBLE_SIMPLEX = 1e-3
-"""Part of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
+"""Part of `xtol`: a smaller simplex has converged even if its costs differ, as at a jump."""
 COLLAPSES = (
     "after every restart, the simplex collapsed at a point where a poll step still lowers the "
     'cost; raise method.options.max_restarts, or use method "pattern_search"'
@@ -246,11 +247,11 @@ COLLAPSES = (
 class NelderMead(Method):
     """Simplex search; with one unknown, bounded scalar minimisation.
 
-    For up to about ten unknowns and a cost of any kind: without derivatives, with a little noise,
-    with simulations that fail here and there. Not for a smooth sum of squares, where
-    `least_squares` needs far fewer evaluations; not where the cost jumps or has edges, where
-    a simplex collapses easily and `pattern_search` does not; not with constraints. It finds the
-    minimum that the start leads to.
+    Use it for up to about ten unknowns and a cost of any kind. It needs no derivatives, and
+    tolerates a little noise and occasional failed simulations. It finds one local minimum, which
+    depends on the start. For a smooth sum of squares, `least_squares` needs far fewer evaluations.
+    At jumps or edges of the cost the simplex collapses easily; use `pattern_search` there. It does
+    not support constraints.
 
     With one unknown, bounds are always kept, and only `initial_step`, `xtol` and `max_iterations`
     matter.
@@ -258,32 +259,33 @@ class NelderMead(Method):
     Attributes
     ----------
     bounds
-        "refuse": as simplex searches do, an error where an unknown has bounds. "enforce": points
-        outside are moved onto the bounds. Where a minimum lies on many bounds, prefer
-        `pattern_search`.
+        "refuse": report an error if an unknown has bounds. "enforce": move points outside the
+        bounds onto the bounds. If a minimum lies on many bounds, prefer `pattern_search`.
     parallel
-        Number of vertices, from the worst on, that are moved at once: at most half as many as there
-        are unknowns, as more let the simplex collapse. 1 is the classical method. With four
-        unknowns or more, 2 takes about half the rounds for about as many simulations, where workers
-        would be idle otherwise because they are more than the experiments; even more is rarely
-        better.
+        Number of worst vertices that are moved at once, at most half the number of unknowns: more
+        let the simplex collapse. 1 is the classical method. With four unknowns or more, 2 takes
+        about half the rounds for about as many simulations. Use 2 if there are more workers than
+        experiments. Higher numbers are rarely better.
     speculative
-        Ask for a vertex's reflection, expansion and both contractions at once, rather than for
-        what the reflection calls for. The same search, in fewer rounds and with more simulations;
-        for when four times `parallel` times the experiments are no more than the workers.
+        Evaluate a vertex's reflection, expansion and both contractions at once. The search takes
+        the same path in fewer rounds with more simulations. Use it if the number of workers is at
+        least four times `parallel` times the number of experiments.
     coefficients
-        "adaptive": by the number of unknowns, which keeps the simplex from collapsing at edges and
-        where there are many; the usual ones for two. "classical": always the usual ones, which
-        save up to a quarter of the evaluations with three or four unknowns and a smooth cost.
+        "adaptive": coefficients that depend on the number of unknowns. They prevent a collapse at
+        edges and with many unknowns, and are the classical coefficients for two unknowns.
+        "classical": always the classical coefficients. They save up to a quarter of the evaluations
+        with three or four unknowns and a smooth cost.
     initial_step
-        Edges of the first simplex, in noticeable changes: of the start value itself, of 1 in a
-        logarithm, of a tenth of the range of the bounds where the start is 0.
+        Edges of the first simplex, in noticeable changes. A noticeable change is the start value
+        itself, or 1 in a logarithm. If the start is 0, it is a tenth of the range of the bounds.
     xtol, ftol
-        Converged when no vertex is further from the best than `xtol` noticeable changes, and none
-        is worse by more than `ftol` of the best cost (or by its square, of the start's cost).
+        Converged when two conditions hold. No vertex is further from the best than `xtol`
+        noticeable changes. None is worse by more than `ftol` of the best cost (or by the square of
+        `ftol`, of the start's cost).
     max_restarts
-        A converged simplex is checked by a poll both ways along each axis. If that leads down, the
-        search begins anew there with a larger simplex, at most so often; 0 does without the poll.
+        Largest number of restarts. A poll in both directions along each axis checks a converged
+        simplex. If the poll lowers the cost, the search restarts there with a larger simplex. 0
+        disables the poll.
     max_iterations
         Limit on the number of iterations over all restarts.
     """
@@ -332,7 +334,7 @@ VertexRequests = Generator[Points, list[Evaluation], list[SimplexVertex]]
 
 
 class _SimplexSearch:
-    """The state of a search: a simplex, best vertex first, and the coefficients of its moves."""
+    """State of a search: the simplex, best vertex first, and the coefficients of its moves."""
 
     def __init__(self, space: SearchSpace, options: NelderMead, start: Evaluation) -> None:
         self._coordinates, self._options = ScaledCoordinates(space), options
@@ -382,7 +384,7 @@ class _SimplexSearch:
 
     @property
     def _tolerance(self) -> float:
-        """A difference of costs that counts as none."""
+        """Largest difference of costs that counts as zero."""
         return self._options.ftol * abs(self._simplex[0].cost) + self._least_spread
 
     def _converged(self) -> bool:
@@ -407,7 +409,7 @@ class _SimplexSearch:
     def _follow_paths(
         self, fixed: list[SimplexVertex], moving: list[SimplexVertex]
     ) -> VertexRequests:
-        """Return the vertices at which the paths of the moving vertices end."""
+        """Return the final vertices of the paths of the moving vertices."""
         centre = np.add.reduce([v.u for v in fixed]) / len(fixed)
         paths = [self._moves.path(v, fixed) for v in moving]
         ends = list(moving)
@@ -437,7 +439,7 @@ class _SimplexSearch:
         points = axis_points(self._coordinates, best.u, step).reshape(-1, len(best.u))
         evaluated = yield from self._ask(points, "poll")
         pairs = zip(evaluated[::2], evaluated[1::2], strict=True)
-        # a step that a bound makes zero would make the simplex degenerate
+        # a step of zero at a bound would make the simplex degenerate
         best_of_pairs = [
             min(pair, key=lambda v: (not np.any(v.u != best.u), v.cost)) for pair in pairs
         ]

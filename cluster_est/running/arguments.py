@@ -1,4 +1,4 @@
-"""Checks of what a user hands to `fit`, `simulate`, `residuals` and `close_loop`."""
+"""Checks of the arguments of `fit`, `simulate`, `residuals` and `close_loop`."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from workers.messages.checks import check_kind, check_number, shown
 
 
 def check_problem(problem: object) -> None:
-    """Refuse what is no problem.
+    """Raise an error if an argument is not a problem.
 
     Raises
     ------
     ProblemError
-        Saying how to make one.
+        With advice on how to create a problem.
     """
     advice = ""
     if isinstance(problem, str | PathLike):
@@ -41,19 +41,19 @@ def check_problem(problem: object) -> None:
 
 
 def prepared(problem: Problem) -> Problem:
-    """Return what a user hands over as a problem, with its records split at their gaps.
+    """Check a problem and return it with its records split at their gaps.
 
     Raises
     ------
     ProblemError
-        If it is none.
+        If the argument is not a problem.
     """
     check_problem(problem)
     return split_at_gaps(problem)
 
 
 def checked_resources(given: Resources | Mapping[str, Any] | str | None) -> Resources:
-    """Return what a user hands over, a name or keys, or the default, checked as a config is.
+    """Return checked resources from resources, an executor's name, keys, or None for the default.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def checked_resources(given: Resources | Mapping[str, Any] | str | None) -> Reso
 
 
 def _named_resources(given: Any) -> Any:
-    """Return resources of a name or of keys; anything else as it is."""
+    """Return resources from a name or from keys; return other arguments unchanged."""
     if given is None or isinstance(given, str):
         return Resources() if given is None else Resources(given)
     if not isinstance(given, Mapping):
@@ -100,7 +100,7 @@ Keyed = TypeVar("Keyed", Resources, Limits)
 
 
 def _of_keys(kind: type[Keyed], given: Mapping[str, Any], where: str) -> Keyed:
-    """Return a dataclass of its fields by name."""
+    """Return a dataclass from its fields by name."""
     known = [each.name for each in fields(kind)]
     for key in given:
         if key not in known:
@@ -109,12 +109,12 @@ def _of_keys(kind: type[Keyed], given: Mapping[str, Any], where: str) -> Keyed:
 
 
 def method_of(method: Method | str) -> Method:
-    """The method, or that of a name as a config may call it.
+    """Return a checked method, or the method with a name from a config.
 
     Raises
     ------
     ProblemError
-        If there is none of that name.
+        If there is no method of that name.
     """
     if isinstance(method, str):
         name = METHOD_ALIASES.get(method, method)
@@ -129,7 +129,7 @@ def method_of(method: Method | str) -> Method:
 
 
 def check_method(method: Method, space: SearchSpace) -> None:
-    """Refuse a method that cannot solve this problem.
+    """Raise an error if a method cannot solve this problem.
 
     Raises
     ------
@@ -160,12 +160,12 @@ def check_method(method: Method, space: SearchSpace) -> None:
 
 
 def check_values(problem: Problem, values: Mapping[str, float]) -> None:
-    """Refuse values of what is not estimated.
+    """Check values of unknowns by label.
 
     Raises
     ------
     ProblemError
-        If a label is unknown, or its value no finite number.
+        If a label is unknown, or its value is not a finite number.
     """
     check_kind(values, Mapping, "values", ProblemError, "; write {name: value}")
     labels = [u.label for u in make_space(problem, tuple(range(len(problem.experiments)))).unknowns]

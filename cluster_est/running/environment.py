@@ -1,6 +1,6 @@
 """The environment of a run: workers, budget, listeners, and the log of an earlier run.
 
-Workers may outlive a run: for the next one, and until what was found is written.
+Workers may stay open after a run, for the next run.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from workers.messages import Outcome
 
 @dataclass(frozen=True)
 class Monitor:
-    """Who is told what happens in a run.
+    """Callbacks for the events of a run.
 
     Attributes
     ----------
     record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
+        Called for each simulation, after each group of outcomes, and for each iteration; see
         `Runner`.
     reset
-        Called with what every simulation begins with, before the first one that counts.
+        Called with the reset policy before the first recorded simulation.
     reached
-        Called with a result on the way: what there is if nothing comes after it.
+        Called with an intermediate result, which is the result if the run ends after it.
     """
 
     record: Record | None = None
@@ -48,14 +48,14 @@ class Monitor:
 
 @dataclass(frozen=True)
 class EarlierRun:
-    """The outcomes and decisions of an interrupted run, for the one that takes it up again.
+    """The outcomes and decisions of an interrupted run, for the run that resumes it.
 
     Attributes
     ----------
     outcomes
-        What it has simulated.
+        Outcomes of its simulations.
     reset
-        What its simulations began with, if that had been decided.
+        Its reset policy, if that had been decided.
     """
 
     outcomes: OutcomeSource
@@ -63,25 +63,25 @@ class EarlierRun:
 
 
 class WorkerSource(ABC):
-    """A supplier of workers: of its own for each run, or shared between runs."""
+    """A source of workers, which are separate for each run or shared between runs."""
 
     @abstractmethod
     def lease(
         self, problem: Problem, resources: Resources, known: ResetDecision | None
     ) -> AbstractContextManager[tuple[WorkerPool, ResetDecision]]:
-        """Give workers for a problem, for as long as the context lasts.
+        """Provide workers for a problem within a context.
 
         Parameters
         ----------
         problem, resources
-            What they simulate, and where.
+            The problem, and the executor with its limits.
         known
-            What every simulation begins with, if that was decided before.
+            The reset policy, if it was decided before.
 
         Raises
         ------
         ModelError, ExecutorError
-            If there are no workers to be had.
+            If no worker can be started.
         """
 
 
@@ -99,18 +99,18 @@ class OwnWorkers(WorkerSource):
 
 @dataclass(frozen=True)
 class RunEnvironment:
-    """All that surrounds a run.
+    """The environment of a run.
 
     Attributes
     ----------
     resources
-        What a user chooses: executor, budget, limits.
+        The user's choices: executor, budget, limits.
     monitor
-        Who is told what happens.
+        Callbacks for the events of the run.
     earlier
-        What an interrupted run has left, if this one takes it up again.
+        The outcomes of the interrupted run that this run resumes, if any.
     source
-        Where its workers come from.
+        The source of the workers.
     """
 
     resources: Resources = field(default_factory=Resources)
@@ -120,12 +120,12 @@ class RunEnvironment:
 
     @contextmanager
     def executor(self, problem: Problem) -> Iterator[Executor]:
-        """Give workers for a problem, behind the log of the earlier run if there is one.
+        """Provide an executor for a problem, with the log of the earlier run in front if any.
 
         Raises
         ------
         ModelError, ExecutorError
-            If there are no workers to be had.
+            If no worker can be started.
         """
         check_process_noise(problem)
         known = None if self.earlier is None else self.earlier.reset
@@ -143,12 +143,12 @@ class RunEnvironment:
                     told(after)
 
     def left(self, evaluations: int, seconds: float) -> RunEnvironment:
-        """Return the environment with what a step before has left of the budget.
+        """Return the environment with the rest of the budget after a step.
 
         Parameters
         ----------
         evaluations, seconds
-            What that took.
+            Evaluations and seconds of the step.
         """
         budget = self.resources.budget
         points, time = budget.evaluations, budget.seconds
@@ -156,14 +156,14 @@ class RunEnvironment:
             points = max(points - evaluations, 0)
         if time is not None:
             time = max(time - seconds, 0.0)
-        budget = Budget.model_construct(evaluations=points, seconds=time)  # it may be used up
+        budget = Budget.model_construct(evaluations=points, seconds=time)  # 0 is allowed here
         rest = replace(self.resources, budget=budget)
         return replace(self, resources=rest)
 
     def record_of(self, problem: Problem) -> Record | None:
-        """Return the monitor's record, told which experiment of a problem is meant.
+        """Return the monitor's record callback, which adds the experiment of a problem.
 
-        For a step whose experiments are not those of the run.
+        Use it for a step whose experiments are not the experiments of the run.
         """
         record = self.monitor.record
         if record is None:
@@ -178,14 +178,14 @@ class RunEnvironment:
     def runner(
         self, executor: Executor, *, record: Record | None = None, whole: bool = False
     ) -> Runner:
-        """Make a runner on an executor.
+        """Return a runner on an executor.
 
         Parameters
         ----------
         executor
-            Of this environment.
+            An executor of this environment.
         record
-            Takes the place of the monitor's.
+            Callback in place of the monitor's.
         whole
             See `Runner`.
         """
@@ -204,19 +204,18 @@ def open_executor(problem: Problem, resources: Resources) -> WorkerPool:
     ModelError, ExecutorError
         If no worker can be started.
     ProblemError
-        If there is process noise where there cannot be.
+        If the problem does not allow its process noise.
     """
     check_process_noise(problem)
     return open_with_reset(problem, resources)[0]
 
 
 class SharedPools(WorkerSource):
-    """Gives each run its workers and keeps them for the next one.
+    """A source of workers that keeps the workers of a run for the next run.
 
-    A pool is bound to a model and its experiments. It stays while runs agree in everything that
-    matters to workers: those, the machine or cluster, the limits of a simulation and what it begins
-    with; else its workers are replaced. A cluster is joined once, until the end. At most one pool
-    is open at a time, so nothing waits for cores.
+    The workers stay if the next run has the same `pool_key` and reset policy; otherwise they are
+    replaced. A cluster is joined once, until the end. At most one pool is open at a time, so pools
+    do not compete for cores.
     """
 
     def __init__(self) -> None:
@@ -229,7 +228,7 @@ class SharedPools(WorkerSource):
         self, problem: Problem, resources: Resources, known: ResetDecision | None
     ) -> Iterator[tuple[WorkerPool, ResetDecision]]:
         key = (*pool_key(problem, resources), known)
-        # What a run left behind, stopped by its budget, must not come back in the next one.
+        # a busy pool is replaced: simulations of a stopped run must not appear in the next run
         if self._pool is None or key != self._key or self._pool[0].busy:
             self._drop()
             kind = executor_class(resources.executor)
@@ -264,7 +263,7 @@ class SharedPools(WorkerSource):
 
 
 def pool_key(problem: Problem, resources: Resources) -> tuple[Any, ...]:
-    """Return what two runs must agree in to use the same workers."""
+    """Return the key that two runs must share to use the same workers."""
     return (
         resources.executor,
         resources.workers,

@@ -1,4 +1,4 @@
-"""A heartbeat: what is shown of a run goes on while nothing comes back from workers."""
+"""A heartbeat: updates of the display of a run while no outcomes arrive."""
 
 from __future__ import annotations
 
@@ -14,22 +14,21 @@ from cluster_est.running.resources import RunSnapshot, Show
 
 SECONDS_BETWEEN_BEATS = 1.0
 STARTING = "starting"
-"""Stands in the place of a search before the first."""
+"""Text in place of a search's name before the first search."""
 
 
 @contextmanager
 def beating(show: Show, seconds: float = SECONDS_BETWEEN_BEATS) -> Iterator[Show]:
-    """Show the last state of a run again whenever so many seconds have passed since.
+    """Show the last state of a run again, with updated seconds, if no new state arrives.
 
-    Its seconds go on; what searches take from now on is not known any more. From the first second
-    on something is shown, also where nothing was simulated yet.
+    The remaining time in such a state is unknown. The display begins before the first simulation.
 
     Parameters
     ----------
     show
         Called with each state, from one thread at a time.
     seconds
-        Between two beats.
+        Seconds between two beats.
     """
     lock, ended = threading.Lock(), threading.Event()
     shown = time.monotonic()

@@ -1,7 +1,7 @@
-"""Ctrl-C, SIGTERM, SIGHUP and a stop file: they end a run where that spoils nothing.
+"""Interrupts of a run by Ctrl-C, SIGTERM, SIGHUP or a stop file.
 
-An interrupt in the middle of a write would tear the log, so while a runner is at work it is only
-noted, and raised where the runner waits for workers.
+An interrupt during a write would damage the log. So an active runner only records interrupts, and
+raises them while it waits for workers.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ TERMINATION_SIGNALS = tuple(
 )
 STOP_FILE_POLL_SECONDS = 0.5
 INTERRUPTS_BEFORE_RAISE = 3
-"""Interrupts after which one is raised at once, wherever that is."""
+"""Number of interrupts after which an interrupt is raised at once, at any place."""
 
 
 class DeferredInterrupts:
-    """Notes interrupts while it is entered; raises them as KeyboardInterrupt while `waiting`.
+    """A context that records interrupts, and raises them as KeyboardInterrupt while `waiting`.
 
-    Only the main thread receives signals: in others this does nothing. Where somebody has installed
-    a handler of his own, that stays.
+    It does nothing outside the main thread, because only the main thread receives signals. It does
+    not replace handlers that other code has installed.
     """
 
     def __init__(self) -> None:
@@ -55,13 +55,13 @@ class DeferredInterrupts:
 
     @contextlib.contextmanager
     def waiting(self) -> Iterator[None]:
-        """Let interrupts be raised here, also those that were noted before."""
+        """Raise interrupts within this context, including recorded ones."""
         self._waiting = True
         try:
             if self.noted:
                 raise KeyboardInterrupt
             yield
-            if self.noted:  # it was raised where nothing can be, as in a callback from C
+            if self.noted:  # the exception was lost, as in a callback from C
                 raise KeyboardInterrupt
         finally:
             self._waiting = False
@@ -76,9 +76,9 @@ class DeferredInterrupts:
 
 
 class _RaisingHandler:
-    """A handler that interrupts at once, and remembers it in case nothing could be raised there.
+    """A handler that raises at once, and records the interrupt in case the exception is lost.
 
-    Compiled code of other libraries prints such an exception and goes on.
+    Compiled code of other libraries may print the exception and go on.
     """
 
     def __init__(self) -> None:
@@ -91,9 +91,9 @@ class _RaisingHandler:
 
 @contextlib.contextmanager
 def terminations() -> Iterator[None]:
-    """Let SIGTERM, of batch systems, and SIGHUP, of a terminal that goes, interrupt as Ctrl-C does.
+    """Make SIGTERM (batch systems) and SIGHUP (closed terminals) interrupt as Ctrl-C does.
 
-    None of them is lost. A program that is to outlive its terminal (nohup) ignores SIGHUP.
+    No interrupt is lost. If SIGHUP is ignored (nohup), it stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -114,9 +114,9 @@ def terminations() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet(handler: _RaisingHandler) -> Iterator[None]:
-    """Print no traceback of an interrupt that nobody could raise: it comes again later.
+    """Suppress tracebacks of interrupts whose exception was lost; they are raised again later.
 
-    Nor of what was being made when one came, and is taken down half made.
+    After an interrupt, also suppress unraisable errors, such as errors of half-built objects.
     """
     printing, unraisable = sys.excepthook, sys.unraisablehook
 
@@ -139,7 +139,7 @@ def _quiet(handler: _RaisingHandler) -> Iterator[None]:
 
 @contextlib.contextmanager
 def later(seconds: float) -> Iterator[None]:
-    """Interrupt the main thread if the block takes longer."""
+    """Interrupt the main thread if the block takes longer than `seconds`."""
     timer = threading.Timer(seconds, interrupt)
     timer.daemon = True
     timer.start()
@@ -151,7 +151,7 @@ def later(seconds: float) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stopped_by(path: Path) -> Iterator[None]:
-    """Interrupt the main thread once a file is there; one that is left from before is removed."""
+    """Interrupt the main thread as soon as a file exists; remove an old file first."""
     _remove(path)
     ended = threading.Event()
 
@@ -172,7 +172,7 @@ def stopped_by(path: Path) -> Iterator[None]:
 
 
 def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):  # no such folder, or it is a file: others say so
+    with contextlib.suppress(OSError):  # other code reports an invalid folder
         path.unlink()
 
 
@@ -181,5 +181,5 @@ def interrupt() -> None:
     main = threading.main_thread().ident
     if main is not None and hasattr(signal, "pthread_kill"):
         signal.pthread_kill(main, signal.SIGINT)
-    else:  # Windows, where it comes when the system call is over
+    else:  # on Windows the interrupt takes effect after the system call
         _thread.interrupt_main()

@@ -1,13 +1,11 @@
-"""Many starts of one method: for costs with several minima.
+"""Searches from many starts with one method, for costs with several minima.
 
-All searches share one queue, so the gradients of some fill the time in which others wait for their
-slowest simulation. What is found does not depend on which search is faster: starts are counted in
-their order.
+All searches share one queue of tasks, so workers are busy while a search waits for its slowest
+simulation. The result does not depend on the speed of the searches: starts count in their order.
 
-Before a search begins, the scales and offsets of sensors without a start of their own get the best
-values at the start of the other unknowns. A search that begins with a scale that is wrong by orders
-of magnitude, or by its sign, moves the other parameters to where they do least harm before it has
-found the scale.
+Before a search, scales and offsets of sensors without an explicit start get their best values at
+the start of the other unknowns. Otherwise a scale that is wrong by orders of magnitude, or in its
+sign, would drive the other parameters to wrong values first.
 """
 
 from __future__ import annotations
@@ -34,17 +32,17 @@ from workers.messages.types import by_content
 from workers.residuals.observed import best_scale_and_offset
 
 STARTS_AT_ONCE = 16
-"""Starts whose trajectories are asked for together, so that they fit into the memory."""
+"""Number of starts whose trajectories are simulated together, limited by memory."""
 
 
 def with_best_sensors(runner: Runner, space: SearchSpace, starts: FloatArray) -> FloatArray:
-    """Return starts with the best scales and offsets of sensors that have no start of their own.
+    """Return starts with the best scales and offsets of sensors without an explicit start.
 
     Parameters
     ----------
     starts : (starts, unknowns)
-        In search coordinates. Each is simulated once, if there is such a sensor; one that cannot be
-        simulated, or that names another value, is left as it is.
+        Starts in search coordinates. Each is simulated once if there is such a sensor. A start does
+        not change if its simulation fails. A scale or offset that the start sets does not change.
     """
     sensors = unstarted_sensors(space)
     if not sensors or not len(starts):
@@ -82,7 +80,7 @@ def _neutral(
 def _start_sensor(
     space: SearchSpace, sensor: UnstartedSensor, outcomes: Sequence[Outcome], x: FloatArray
 ) -> None:
-    """Write the best scale and offset of a sensor into a start, from all that it measured."""
+    """Set the best scale and offset of a sensor in a start `x`, from all its measurements."""
     measured, simulated, sigmas = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     moving, given = sensor.offset is not None, _given_scale(space, sensor, x)
     for position in sensor.experiments:
@@ -110,7 +108,7 @@ def _start_sensor(
 
 
 def _given_scale(space: SearchSpace, sensor: UnstartedSensor, x: FloatArray) -> float:
-    """Return the scale that a start names; 1 if it names none."""
+    """Return the scale that a start sets; 1 if it sets none."""
     i = sensor.scale
     if i is None or x[i] == space.start[i]:
         return NEUTRAL[SCALE]
@@ -119,15 +117,15 @@ def _given_scale(space: SearchSpace, sensor: UnstartedSensor, x: FloatArray) -> 
 
 Sampler = Literal["sobol", "latin_hypercube", "uniform"]
 ATTEMPTS = 50
-"""Samples drawn for each one that must satisfy the constraints on parameters."""
+"""Number of samples drawn for each needed sample, with constraints on parameters."""
 LEAST_ITERATIONS_OF_SEARCH = 10
-"""Gradients, each with a step, or simplices, for which a search must have room to get anywhere."""
+"""Least number of iterations, each with a gradient, for which the budget of a search must last."""
 SCREENED = 0.25
-"""Share of a budget that may go into evaluating starts, where it is too short for one search."""
+"""Part of the budget for the evaluation of starts if the budget is too small for one search."""
 
 
 class Multistart(Settings):
-    """From how many points to search, and which."""
+    """Number and selection of the starts of searches."""
 
     section: ClassVar[str] = "multistart"
 
@@ -179,14 +177,13 @@ class MultistartResult:
     Attributes
     ----------
     starts : (searches, unknowns)
-        In search coordinates; the best first where a budget was too short for all.
+        Starts in search coordinates, best first if the budget was too small for all searches.
     solutions
-        Of each search.
+        Solution of each search.
     minima
-        Indices of solutions, the best first, one for each different minimum.
+        Indices of solutions, best first, one for each different minimum.
     minimum
-        For each search the number of its minimum, counted from 0 as in `minima`; -1 where it did
-        not reach one.
+        Index in `minima` of the minimum of each search; -1 if the search did not reach a minimum.
     """
 
     starts: FloatArray
@@ -196,7 +193,7 @@ class MultistartResult:
 
     @property
     def best(self) -> Solution:
-        """Of the best minimum; of all solutions, where none of them is one."""
+        """The best minimum; the best of all solutions if there is no minimum."""
         if self.minima:
             return self.solutions[self.minima[0]]
         return min(self.solutions, key=_rank)
@@ -210,7 +207,7 @@ def search_from_starts(
     Raises
     ------
     ProblemError
-        If samples are wanted but an unknown has no finite bounds.
+        If samples are needed but an unknown has no finite bounds.
     """
     suitable = suited(space, method)
     starts = make_starts(runner, suitable, multistart)
@@ -222,7 +219,7 @@ def search_from_starts(
     ]
 
     def enough(solutions: Sequence[Solution]) -> bool:
-        """Whether the last of them have found no new minimum."""
+        """Return whether the last `patience` solutions contain no new minimum."""
         if multistart.patience == 0 or len(solutions) <= multistart.patience:
             return False
         _, number = cluster(space, solutions, multistart.same)
@@ -238,17 +235,17 @@ def search_from_starts(
 def plan_for_budget(
     runner: Runner, space: SearchSpace, starts: FloatArray, at_once: int
 ) -> tuple[FloatArray, int]:
-    """Choose which starts come first, and how many searches are under way at the same time.
+    """Choose the order of the starts and the number of simultaneous searches.
 
-    Where a budget has room for `LEAST_ITERATIONS_OF_SEARCH` gradients of each search, nothing
-    changes. Where it has not, searches that share it evenly would all end before they get anywhere.
-    So the starts are evaluated first, as many as leave room for a search, and searched from the
-    best on, so few at once that there is room for these.
+    If the budget allows `LEAST_ITERATIONS_OF_SEARCH` gradients of each search, nothing changes.
+    Otherwise searches with equal shares of the budget would all end too early. So as many starts
+    are evaluated as leave enough budget for one search. Searches then begin with the best start,
+    and only as many run at the same time as the budget allows.
 
     Returns
     -------
     tuple
-        The starts in the order in which they are searched, and the number at once.
+        The starts in the order of their searches, and the number of simultaneous searches.
     """
     needed = LEAST_ITERATIONS_OF_SEARCH * (space.size + 2)
     left = runner.evaluations_left
@@ -260,12 +257,12 @@ def plan_for_budget(
 
 
 def check_starts(space: SearchSpace, multistart: Multistart) -> None:
-    """Refuse starts that this space cannot have, before anything is simulated.
+    """Raise an error if the starts do not fit the space, before any simulation.
 
     Raises
     ------
     ProblemError
-        If a point of the user's names no unknown or lies out of bounds, or samples are wanted but
+        If a point of the user has a wrong label or lies out of bounds. Or if samples are needed but
         an unknown has no finite bounds.
     """
     for values in multistart.points:
@@ -275,7 +272,7 @@ def check_starts(space: SearchSpace, multistart: Multistart) -> None:
 
 
 def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> FloatArray:
-    """(searches, unknowns): the space's own start, the user's, then samples."""
+    """Return the start of the space, the user's points, then samples: (searches, unknowns)."""
     named = [space.start, *(_named(space, values) for values in multistart.points)]
     given = with_best_sensors(runner, space, np.array(named))
     missing = multistart.searches - len(given)
@@ -289,17 +286,17 @@ def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> F
 
 
 def _best_first(runner: Runner, space: SearchSpace, points: FloatArray, name: str) -> FloatArray:
-    """Evaluate points as a search of this name; the points in the order of their ranks."""
+    """Evaluate points as a search of this name; return the points, best first."""
     (found,) = runner.run([SearchRequest(name, GivenPoints(points, "screen"), space)])
-    if not found.evaluations:  # interrupted: no search begins any more at any of them
+    if not found.evaluations:  # after an interrupt no search begins, so the order is irrelevant
         return points
     return points[sorted(range(len(points)), key=lambda i: (found.evaluations[i].rank, i))]
 
 
 def sample(space: SearchSpace, count: int, multistart: Multistart) -> FloatArray:
-    """(count, unknowns): points within the bounds that satisfy the constraints on parameters.
+    """Return samples (count, unknowns) within bounds that satisfy constraints on parameters.
 
-    Where those leave too little room, the points that violate them least.
+    If too few of the drawn points satisfy them, the points with the least violation are included.
 
     Raises
     ------
@@ -322,7 +319,7 @@ def sample(space: SearchSpace, count: int, multistart: Multistart) -> FloatArray
 
 
 def _sampled_between(space: SearchSpace) -> tuple[FloatArray, FloatArray]:
-    """The bounds that samples lie in; a sensor's scale and offset follow from the others."""
+    """Return the bounds of samples; a sensor's scale and offset are not sampled."""
     lower, upper = space.lower.copy(), space.upper.copy()
     for sensor in unstarted_sensors(space):
         chosen = list(sensor.unknowns)
@@ -350,7 +347,7 @@ def _unit(sampler: Sampler, count: int, size: int, generator: np.random.Generato
 
     kinds = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}
     engine = kinds[sampler](size, rng=generator)
-    if sampler == "sobol":  # it is balanced for powers of two only, and warns about others
+    if sampler == "sobol":  # balanced only for powers of two; warns about other numbers
         return np.asarray(engine.random_base2(max(0, (count - 1).bit_length()))[:count])
     return np.asarray(engine.random(count))
 
@@ -361,7 +358,7 @@ def _violation(values: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
 
 
 def _named(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
-    """A start of the user's, in search coordinates."""
+    """Return a start of the user in search coordinates."""
     labels = [unknown.label for unknown in space.unknowns]
     names = [unknown.parameter.name for unknown in space.unknowns]
     for name in values:

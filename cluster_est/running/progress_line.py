@@ -1,4 +1,4 @@
-"""The line of progress of a run, in words, and where it is shown: a terminal or a notebook."""
+"""The progress line of a run, in a terminal or a notebook."""
 
 from __future__ import annotations
 
@@ -57,27 +57,27 @@ SEARCH_TITLES = {
     "profile": "computing the profile of",
     "bootstrap": "refitting draw",
 }
-"""Texts for people, by the names of the searches of all studies in the log.
+"""Texts for users, by the names of searches in the log.
 
-Of a name such as "start 3" it is the text of its first word, and the rest follows.
+A name such as "start 3" has the text of its first word, followed by the rest.
 """
 
 Callback = Callable[[SearchIteration], Any]
-"""Called with each iteration of each search; StopIteration ends the run with what it has found."""
+"""Called with each iteration of each search; StopIteration ends the run with its result so far."""
 
 
 class Place(Protocol):
-    """Where a line is shown."""
+    """A display of one line."""
 
     def put(self, text: str) -> None:
-        """Show a text in the place of the last one."""
+        """Show a text in place of the last text."""
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Remove the line."""
 
 
 class TerminalPlace:
-    """A line of a terminal that is renewed in place; cut where it would begin a second one."""
+    """A line of a terminal that is updated in place, and truncated to one line."""
 
     def __init__(self, console: Console) -> None:
         from rich.live import Live
@@ -86,19 +86,19 @@ class TerminalPlace:
         self._live.start()
 
     def put(self, text: str) -> None:
-        """Show a text in the place of the last one."""
+        """Show a text in place of the last text."""
         from rich.text import Text
 
         self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
     def close(self) -> None:
-        """Take the line away."""
+        """Remove the line."""
         self._live.stop()
 
 
 class _NotebookPlace:
     def __init__(self) -> None:
-        from IPython.display import display  # there is no notebook without it
+        from IPython.display import display  # always present in a notebook
 
         self._handle: Any = display({"text/plain": ""}, raw=True, display_id=True)
 
@@ -110,7 +110,7 @@ class _NotebookPlace:
 
 
 def _place() -> Place | None:
-    """Return a place where somebody looks; None for a script whose errors go to a file."""
+    """Return a notebook or terminal display; None if stderr is not a terminal."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None and hasattr(shell, "kernel"):
         return _NotebookPlace()
@@ -123,14 +123,14 @@ def _place() -> Place | None:
 
 @contextmanager
 def shown_at(place: Place, budget: Budget) -> Iterator[Show]:
-    """Give what shows the state of a run at a place, at most ten times a second.
+    """Provide a function that shows the state of a run, at most ten times a second.
 
     Parameters
     ----------
     place
-        Closed at the end.
+        The display, which is closed at the end.
     budget
-        What the time left is counted from.
+        Budget, for the remaining time.
     """
     last = -math.inf
 
@@ -149,14 +149,14 @@ def shown_at(place: Place, budget: Budget) -> Iterator[Show]:
 
 @contextmanager
 def progress_of(given: Show | bool | None, budget: Budget) -> Iterator[Show | None]:
-    """Give what shows a run that was begun from Python, as `progress` of `fit` says.
+    """Provide the display of a run started from Python, according to `progress` of `fit`.
 
     Parameters
     ----------
     given
-        None or True for a line in a terminal or a notebook, False for nothing, or a function.
+        None or True for a line in a terminal or a notebook, False for no display, or a function.
     budget
-        What the time left is counted from.
+        Budget, for the remaining time.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def progress_of(given: Show | bool | None, budget: Budget) -> Iterator[Show | No
 
 
 def line_of(snapshot: RunSnapshot, budget: Budget) -> str:
-    """Return a snapshot as one line of text, with the time that is left of a budget."""
+    """Return a snapshot as one line of text, with the remaining time of a budget."""
     progress, failed, number = snapshot.progress, snapshot.failures, snapshot.progress.iteration
     rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
     done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
@@ -198,7 +198,7 @@ def line_of(snapshot: RunSnapshot, budget: Budget) -> str:
 
 
 def _left_of_budget(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
-    """Time left of the budget of a recipe of many steps; that of a single one is said already."""
+    """Return the remaining time of the budget; "" if the line already has the step's time."""
     if not snapshot.phase and not math.isnan(snapshot.left):
         return ""
     limits = []
@@ -210,11 +210,11 @@ def _left_of_budget(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
 
 
 LEAST_PACE = 1.0
-"""Seconds of an iteration: nobody waits for a shorter one."""
+"""Least seconds of an iteration for which the line shows the pace."""
 
 
 def search_title(search: str) -> str:
-    """Return what a person reads of a search, by its name in the log."""
+    """Return the text for the user of a search, from its name in the log."""
     first, _, rest = search.partition(" ")
     if search not in SEARCH_TITLES and first in SEARCH_TITLES:
         return f"{SEARCH_TITLES[first]} {rest}"
@@ -222,7 +222,7 @@ def search_title(search: str) -> str:
 
 
 def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
-    """Return what a run does now, and how many of the searches begun together have ended."""
+    """Return the current step of a run, and the number of ended searches in the group."""
     title = search_title(search)
     parts = [f"{phase}: {title}" if phase else title]
     if searches > 1:
@@ -231,17 +231,17 @@ def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
 
 
 def pace_of(seconds: float) -> str:
-    """Return how long an iteration takes, where it is long enough to be of interest."""
+    """Return a text with the duration of an iteration; "" if it is short."""
     if not seconds >= LEAST_PACE:
         return ""
     return f"an iteration takes about {_seconds(seconds)}"
 
 
 def left_of_step(phase: str, seconds: float, *, at_most: bool) -> str:
-    """Return the time left of what is done now; that of a whole recipe depends on what is found.
+    """Return a text with the remaining time of the current step.
 
-    Nothing for what is no recipe of phases, where nobody knows. `at_most` says whether it is a
-    limit, or what is to be expected.
+    If it is unknown, the text is "" outside recipes of phases. `at_most` marks an upper limit
+    rather than an expected value.
     """
     if math.isnan(seconds):
         return "time left unknown" if phase else ""
@@ -255,7 +255,7 @@ def _seconds(seconds: float) -> str:
 
 
 def note_of(callback: Callback | None) -> Note | None:
-    """Return a callback as the runner calls it."""
+    """Return the runner's note callback from a user's callback."""
     if callback is None:
         return None
     if not callable(callback):

@@ -1,11 +1,11 @@
 """The reset policy: each simulation begins with a reset, a new instance or a new process.
 
-Most FMUs can be reset, which costs microseconds. Some keep something: a state, a table, values that
-were set once. What is simulated then depends on what was simulated before, without any sign of it.
-So the first worker is asked the same question twice before a search begins, however long that
-takes: what simulations begin with must not depend on how quick a machine is. If the answers are not
-the same bits, a new instance for each simulation is tried, then a new process. With slow FMUs it is
-two or three simulations beside hundreds; `model.reset` in the config saves them.
+Most FMUs can be reset within microseconds. Some keep data through a reset: a state, a table, or
+values that were set once. Their results then silently depend on earlier simulations. So before a
+search, the first worker repeats a simulation. There is no time limit, because the policy must not
+depend on the speed of the machine. If the results differ in a bit, a new instance for each
+simulation is tried, and then a new process. The test takes two or three simulations; `model.reset`
+in the config disables it.
 """
 
 from __future__ import annotations
@@ -27,19 +27,18 @@ from workers.process.forked import CAN_FORK
 
 WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
-"""Ends of a simulation that say nothing of what it would have given."""
+"""Statuses of a simulation without information about its results."""
 LATER_SECONDS = 1.1
-"""Seconds after which a clock that counts seconds has moved."""
+"""Seconds after which a clock that counts whole seconds has changed."""
 LONG_SECONDS, LONG_AT_THE_END = 60.0, 5.0
-"""Seconds from which on a simulation is not done once more only to be compared: before a run or
-within it, and at its end."""
+"""Longest simulation that is repeated for a comparison: before a run, and at its end."""
 NO_LIMITS = Limits(*[float("inf")] * 4)
 BEGINNING_OF_SIMULATION = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
     "process": "a new process",
 }
-"""What each simulation begins with."""
+"""Texts for the beginning of each simulation, by policy."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,9 @@ class ResetDecision:
     policy
         One of `WAYS`.
     sentence
-        What was found.
+        Reason for the decision, for the user.
     plain
-        Whether that is nothing out of the ordinary.
+        Whether the result of the test is normal.
     """
 
     policy: ResetPolicy
@@ -62,7 +61,7 @@ class ResetDecision:
 
 
 def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
-    """Return the decision that a run.json holds; None if it does not say."""
+    """Return the decision in the facts of a run.json; None if there is none."""
     found = facts.get("reset_policy") or {}
     if found.get("policy") not in WAYS:
         return None
@@ -71,20 +70,20 @@ def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
 
 @dataclass(frozen=True)
 class RepeatabilityAnswer:
-    """The answer to a `RepeatabilityTest`.
+    """The result of a `RepeatabilityTest`.
 
     Attributes
     ----------
     same
-        Whether the answers were the same bits; None if that cannot be found out.
+        Whether the repeated outcome has the same bits; None if unknown.
     crashed
-        Whether the process crashed: in the first simulation if `same` is None, else in a later one.
+        Whether the process crashed, in the first simulation if `same` is None, else in a later one.
     message
-        What went wrong, as a verb with its object, or as the first simulation's own message.
+        The fault as a verb with its object, or the message of the first simulation.
     first
-        The outcome that came out again.
+        The first outcome, if it was reproduced.
     at
-        When that was, in seconds of `time.monotonic`.
+        Time of the test, in seconds of `time.monotonic`.
     """
 
     same: bool | None
@@ -96,15 +95,16 @@ class RepeatabilityAnswer:
 
 @dataclass(frozen=True)
 class RepeatabilityTest:
-    """A test of the first worker: the first task again after the others."""
+    """A test of the first worker, which repeats the first task after the others."""
 
     tasks: tuple[Task, ...]
 
     @classmethod
     def of(cls, problem: Problem) -> RepeatabilityTest:
-        """Experiment, another one that sets most of what this one does not, and the first again.
+        """Return the test of a problem: an experiment, another experiment, and the first again.
 
-        What a reset leaves behind shows there at the latest.
+        The second experiment sets as many other variables as possible, so that data kept through
+        a reset affect the repetition.
         """
         first = min(
             range(len(problem.experiments)), key=lambda e: len(problem.experiments[e].values)
@@ -118,14 +118,14 @@ class RepeatabilityTest:
         return cls(tuple(Task(i, e, values[e]) for i, e in enumerate(asked)))
 
     def ask(self, executor: WorkerPool) -> RepeatabilityAnswer:
-        """Ask the first worker, each task once."""
+        """Run each task once on the first worker, and compare."""
         (first,) = executor.one_worker(self.tasks[:1]) or (None,)
         if first is None or not first.ok:
             crashed = first is not None and first.status is Status.CRASH
             return RepeatabilityAnswer(None, crashed, first.message if first is not None else "")
         rest = executor.one_worker(self.tasks[1:])
         if not all(outcome.ok for outcome in rest[:-1]):
-            # the last one may have begun with a new instance or in a new process: no reset yet
+            # after a failure, the last task may have begun without a reset: repeat it
             rest = executor.one_worker(self.tasks[:1])
         if not rest or rest[-1].status in NO_ANSWER:
             return RepeatabilityAnswer(None, message=rest[-1].message if rest else "")
@@ -142,7 +142,7 @@ class RepeatabilityTest:
 
 
 class _Start(Protocol):
-    """Starts workers of an executor, whose simulations begin in some way."""
+    """A function that starts workers of an executor with a reset policy."""
 
     def __call__(self, kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool: ...
 
@@ -150,20 +150,21 @@ class _Start(Protocol):
 def open_with_reset(
     problem: Problem, resources: Resources, known: ResetDecision | None = None
 ) -> tuple[WorkerPool, ResetDecision]:
-    """Start the workers, and decide what every simulation begins with.
+    """Start the workers, and decide the reset policy.
 
     Parameters
     ----------
     problem, resources
-        What is simulated, and where.
+        The problem, and the executor with its limits.
     known
-        What was decided before, if an interrupted run is taken up again.
+        The decision of an interrupted run that is resumed.
 
     Raises
     ------
     ExecutorError
-        If this executor cannot give each simulation a process of its own, and the FMU needs that;
-        or if it has several workers in this process, and instances there disturb each other.
+        If the FMU needs a separate process for each simulation, and the executor does not support
+        this. Or if the executor has several workers in this process, and their instances disturb
+        each other.
     ModelError
         If the FMU cannot be loaded.
     """
@@ -188,7 +189,7 @@ def open_with_reset(
 
 
 def _disturbance(problem: Problem, resources: Resources, pool: WorkerPool) -> str:
-    """Return what instances in this process do to each other; "" if nothing, or there is one."""
+    """Return how instances in this process disturb each other; "" if they do not."""
     if not (pool.in_process and pool.workers > 1):
         return ""
     if resources.instances is None:
@@ -200,11 +201,11 @@ def _disturbance(problem: Problem, resources: Resources, pool: WorkerPool) -> st
 def _open(
     problem: Problem, resources: Resources, known: ResetDecision | None
 ) -> tuple[WorkerPool, ResetDecision]:
-    """Do as `open_with_reset`, however many workers there are in this process."""
+    """Start workers and decide as `open_with_reset`, without the test of several instances."""
 
     def start(kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool:
         model = replace(problem.model, reset=policy, seats=resources.seats)
-        # what is tried apart for an executor in this process has no more limits than there
+        # a trial in another executor has no limits, like an executor in this process
         limits = resources.limits if kind == resources.executor else NO_LIMITS
         pool = executor_class(kind)
         if not (CAN_FORK or pool.in_process):
@@ -246,10 +247,10 @@ _UNKNOWN = (
 def _find_policy(
     problem: Problem, resources: Resources, start: _Start
 ) -> tuple[WorkerPool, ResetDecision]:
-    """Find the least policy with which the test has one answer; a reset if no policy has.
+    """Find the cheapest policy with repeatable results.
 
-    An FMU that this machine does not know with these values is tried in a process of its own: it
-    may crash, or depend on its process.
+    An FMU without a passed trial on this machine is tested in a separate process: it may crash, or
+    depend on its process.
     """
     file, here = problem.model.name, executor_class(resources.executor).in_process
     question = RepeatabilityTest.of(problem)
@@ -290,7 +291,7 @@ def _find_policy(
 def _tried(
     problem: Problem, pool: WorkerPool, decision: ResetDecision, trial: Trial
 ) -> ResetDecision:
-    """Compare a second later, and remember a trial that has shown nothing."""
+    """Compare again after a second, and record the trial as passed if nothing was found."""
     if not trial.passed:
         decision = _compared(problem, pool, decision, later=True)
         if decision.plain:
@@ -301,13 +302,13 @@ def _tried(
 def compared_at_the_end(
     problem: Problem, pool: WorkerPool, decision: ResetDecision
 ) -> ResetDecision:
-    """Ask the first worker of a run once more what it answered before; the decision after that.
+    """Repeat the first simulation at the end of a run; return the decision after the comparison.
 
-    It is not asked while workers are busy, as after an interrupt, nor for long.
+    There is no comparison if workers are busy, as after an interrupt, or if it would take long.
     """
     if pool.busy or pool.first is None or pool.first.seconds > LONG_AT_THE_END:
         return decision
-    # on a cluster nothing was compared later before the run
+    # on a cluster there was no later comparison before the run
     return _compared(problem, pool, decision, later=pool.on_cluster)
 
 
@@ -319,9 +320,10 @@ def _compared(
     last: bool = False,
     later: bool = False,
 ) -> ResetDecision:
-    """Ask a worker what was answered before the run; what its answer makes of a decision.
+    """Repeat the first simulation and compare; return the decision after the comparison.
 
-    The last worker and not the first; later than a clock of seconds stands still.
+    `last` selects the last worker instead of the first. `later` waits until a clock of whole
+    seconds has changed.
     """
     first, task = pool.first, RepeatabilityTest.of(problem).tasks[:1]
     if first is None or first.seconds > LONG_SECONDS:
@@ -340,7 +342,7 @@ def _compared(
 
 
 def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision | None:
-    """Return the decision that the answers so far allow; None if another policy must be tried."""
+    """Return the decision from the answers so far; None if another policy must be tried."""
     policy, answer = list(answers.items())[-1]
     if policy == "reset":
         if answer.same is None:
@@ -356,7 +358,7 @@ def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> Re
 
 
 def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision:
-    """Return the least policy that does not crash, for an FMU that does not repeat itself."""
+    """Return the cheapest policy without a crash, for an FMU that is not repeatable."""
     safe = [policy for policy, answer in answers.items() if not answer.crashed]
     said = (
         f"{file} is not repeatable: the same simulation gives a different result each time, even "
@@ -369,7 +371,7 @@ def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer
 def _refuse_here(
     file: str, executor: str, policy: ResetPolicy, answer: RepeatabilityAnswer
 ) -> None:
-    """Refuse to run an FMU in this process that would take it along, or spoil what comes next."""
+    """Raise an error if an FMU must not run in this process: it crashes or keeps data."""
     if answer.same is None and answer.crashed:
         raise UnsuitableExecutorError(
             f"executor.name: {file} must survive a simulation to be run in this process, but its "

@@ -1,4 +1,4 @@
-"""What a run is given, executor, budget and limits, and what it tells of itself meanwhile."""
+"""Resources of a run (executor, budget, limits), and the records of its progress."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from workers.messages import Limits, Model, Outcome, Seats, Task
 
 
 class Budget(Settings):
-    """When to stop asking."""
+    """Limits after which no new points are requested."""
 
     section: ClassVar[str] = "budget"
 
@@ -35,9 +35,9 @@ class Budget(Settings):
 
 
 class LogSettings(Settings):
-    """The share of each simulation that is kept.
+    """The parts of each simulation that the log keeps.
 
-    What is left out is simulated again when the run is resumed, and changes no bit of it.
+    A resumed run simulates the missing parts again, with the same bits.
     """
 
     section: ClassVar[str] = "log"
@@ -62,10 +62,10 @@ class LogSettings(Settings):
 
 @dataclass(frozen=True)
 class TaskOrigin:
-    """A task and who asked for it: what the log says of it besides its outcome.
+    """A task and its origin, for the log.
 
-    `installed` is (id, key) of the experiment where it is none of the problem's own. Of what is
-    `slim` a log keeps no residuals: a run that is resumed simulates it again.
+    `installed` is (id, key) of the experiment if it is not an experiment of the problem. The log
+    keeps no residuals of a `slim` task; a resumed run simulates it again.
     """
 
     task: Task
@@ -78,25 +78,24 @@ class TaskOrigin:
 
 @dataclass(frozen=True)
 class RunSnapshot:
-    """The state of a run as a display shows it.
+    """The state of a run for a display.
 
     Attributes
     ----------
     search, progress
-        One of those under way.
+        Name and progress of one of the running searches.
     evaluations, simulations, failures, busy, workers, seconds
-        Of the whole run.
+        Numbers and seconds of the whole run.
     phase
-        What a recipe of several phases is about, in words.
+        Text of the current phase, in a recipe of several phases.
     ended, searches
-        How many of the searches that were begun together have ended, and how many these are.
+        Number of ended searches, and of all searches, in the current group.
     left, at_most
-        Seconds that those take from now on, NaN where nobody knows; and whether they are a limit,
-        set by a budget or by iterations that may not all be needed.
+        Remaining seconds of the current group (NaN if unknown), and whether this is an upper limit.
     waiting
-        Simulations that could begin if there were more workers.
+        Number of simulations that wait for a worker.
     pace
-        Seconds of an iteration so far, on average, of a single search; NaN before the first.
+        Mean seconds of an iteration of a single search; NaN before the first iteration.
     """
 
     search: str
@@ -118,14 +117,14 @@ class RunSnapshot:
 
 @dataclass(frozen=True)
 class BestPoint:
-    """The best point that a search has seen so far.
+    """The best point of a search so far.
 
     Attributes
     ----------
     cost
-        At it.
+        Cost at the point.
     violation
-        Of the constraints there; 0 where they are satisfied.
+        Violation of the constraints; 0 if they are satisfied.
     values
         Physical values by label.
     """
@@ -136,7 +135,7 @@ class BestPoint:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Less is better."""
+        """Sort key, best first."""
         return self.violation, self.cost
 
 
@@ -147,11 +146,11 @@ class SearchIteration:
     Attributes
     ----------
     search, progress
-        Whose line it is, and what it says.
+        Name of the search, and contents of the line.
     evaluations
-        Of this search so far.
+        Number of evaluations of this search so far.
     best
-        None before a point was simulated, and of searches with very many unknowns.
+        The best point; None before the first simulated point, or with very many unknowns.
     """
 
     search: str
@@ -174,18 +173,18 @@ class Resources:
     executor
         "local", "processes" or "ray".
     workers
-        None for every core of the cluster with "ray", and one with the others. No more are started
-        than `instances`.
+        Number of workers, at most `instances`. None selects every core of the cluster with "ray",
+        and one worker with the other executors.
     address
-        Of a Ray cluster; None for this machine alone.
+        Address of a Ray cluster; None for this machine alone.
     budget
-        When to stop.
+        Limits of evaluations and seconds.
     instances
-        How many instances of the FMU may exist at once over all workers, for one whose licence says
-        so; None for any number.
+        Largest number of instances of the FMU at the same time, over all workers, for FMUs with
+        such a licence; None for any number.
     limits
-        When a simulation is ended from outside, which no executor can whose workers are in this
-        process, such as "local".
+        Limits after which a simulation is ended from outside. Executors with workers in this
+        process, such as "local", cannot end a simulation.
     """
 
     executor: str = "local"
@@ -201,11 +200,11 @@ class Resources:
         return None if self.instances is None else program_seats(self.instances)
 
     def limited(self, model: Model) -> Model:
-        """Return a model whose instances are limited as here, for a process beside the workers."""
+        """Return a model with this limit of instances, for a process in addition to the workers."""
         return model if self.instances is None else replace(model, seats=self.seats)
 
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of them: that fewer workers are started than were asked for."""
+        """Return notes for the user: a note if fewer workers are started than requested."""
         if self.instances is None or self.workers is None or self.workers <= self.instances:
             return ()
         return (
@@ -215,15 +214,15 @@ class Resources:
 
 
 def one_blas_thread() -> Any:
-    """Keep linear algebra to one thread, as a context.
+    """Return a context that limits linear algebra to one thread.
 
-    The matrices are small: threads would only wait for each other while the workers use the cores,
-    and sums could round differently on machines with other numbers of cores.
+    The matrices are small, and the workers use the cores. With several threads, sums could also
+    round differently on machines with other numbers of cores.
     """
     return _loaded_libraries(len(sys.modules)).limit(limits=1, user_api="blas")
 
 
 @lru_cache(maxsize=1)
 def _loaded_libraries(modules: int) -> ThreadpoolController:  # noqa: ARG001
-    """Look for libraries with threads, which takes milliseconds: again only after an import."""
+    """Return the controller of thread libraries; a new search (milliseconds) after imports only."""
     return ThreadpoolController()

@@ -1,8 +1,7 @@
-"""The only loop: it feeds many searches from one queue and joins what comes back.
+"""The runner: the main loop that runs many searches with one queue of tasks.
 
-Searches wait for each other only where they share a budget of evaluations. Outcomes arrive in any
-order and are joined in the order of the experiments, so a search sees the same numbers whatever the
-workers did.
+Searches wait for each other only if they share a budget of evaluations. Outcomes arrive in any
+order and are sorted by experiment. So the evaluations of a search do not depend on the workers.
 """
 
 from __future__ import annotations
@@ -35,25 +34,25 @@ Enough = Callable[[Sequence[Solution]], bool]
 
 
 class Runner:
-    """Runs searches on an executor.
+    """A runner of searches on an executor.
 
     Parameters
     ----------
     executor
-        Where tasks run; its experiments are those of the spaces' problem.
+        The executor of the tasks, with the experiments of the spaces' problem.
     budget
-        Of all searches together.
+        Budget of all searches together.
     record
         Called once for each simulation, in the order in which they end.
     show
-        Called whenever something came back.
+        Called after each group of outcomes.
     note
         Called for each new line of a search's iteration table, and once more at its end.
     whole
-        For a recipe of many steps, to which searches that were cut short are no use: an interrupt
-        goes through `run`, and a budget that is used up raises BudgetError.
+        True for a recipe of many steps that needs complete searches. `run` then raises
+        KeyboardInterrupt after an interrupt, and BudgetError if the budget is used up.
     clock
-        Gives seconds; for studies on virtual time.
+        Function that returns seconds; for studies with virtual time.
     """
 
     def __init__(
@@ -71,38 +70,40 @@ class Runner:
         self._budget = BudgetWatch(budget or Budget(), clock)
         self._pending = PendingTasks(executor, record or (lambda *_: None))
         self.display = RunDisplay(show, executor, self._budget, self._pending, clock)
-        """Shows how far it is; a recipe tells it the phase."""
+        """The display of the progress; a recipe sets its phase."""
         self._note = note or (lambda *_: None)
         self._whole = whole
         self._in_step = False
         self.interrupted = False
-        """Whether it was: no search goes on after that, and simulations get a few seconds."""
+        """Whether the runner was interrupted.
+
+        Then no search goes on, and `simulate` has only a few seconds."""
 
     @property
     def evaluations(self) -> int:
-        """Points that were asked for, those of all searches together."""
+        """Number of points that all searches have requested."""
         return self._budget.evaluations
 
     @property
     def evaluations_left(self) -> float:
-        """Points that the budget has room for; infinite where it counts none."""
+        """Number of points left in the budget; infinite without a limit."""
         return self._budget.evaluations_left
 
     @property
     def simulations(self) -> int:
-        """Simulations that were run or found in a log."""
+        """Number of simulations that were run or found in a log."""
         return self._pending.simulations
 
     @property
     def failures(self) -> int:
-        """Simulations that failed, of those that were run or found in a log."""
+        """Number of failed simulations that were run or found in a log."""
         return self._pending.failures
 
     @contextlib.contextmanager
     def uncounted(self) -> Iterator[None]:
-        """Let what is simulated here be neither counted nor recorded.
+        """Neither count nor record simulations within this context.
 
-        For what is shown on the way, without which the run is the same.
+        Use it for intermediate displays that do not affect the run.
         """
         budget, pending = self._budget, self._pending
         before = budget.evaluations, budget.requests
@@ -113,13 +114,13 @@ class Runner:
             budget.evaluations, budget.requests = before
 
     def forget(self) -> None:
-        """Let go what would answer repeated questions: nothing is asked any more."""
+        """Clear the cache of outcomes; call it after the last search."""
         self._pending.forget()
 
     def free_instances(self, workers: int) -> ResetPolicy:
-        """Have the first workers let their instances go until they are asked again.
+        """Free the instances of the first workers until their next task.
 
-        Returns what simulations begin with here, for whoever makes instances in their place.
+        Returns the reset policy, for code that creates instances in their place.
         """
         self._executor.free_instances(workers)
         return self._executor.reset
@@ -132,23 +133,23 @@ class Runner:
     ) -> list[Solution]:
         """Run searches to their ends, all at the same time.
 
-        A keyboard interrupt ends all of them with their best points so far, unless `whole`.
+        A keyboard interrupt ends all searches with their best points so far, unless `whole`.
 
         Parameters
         ----------
         requests
-            What to search.
+            The searches.
         at_once
-            How many are under way at the same time; the others begin, in order, as those end.
+            Largest number of simultaneous searches; the others begin in their order.
         enough
-            Is asked, each time another one has ended before which all have ended, whether these
-            first ones are all that is needed: the others are given up then. So what comes back
-            does not depend on which search is faster.
+            Called with the solutions of the first searches each time one more of them, in their
+            order, has ended. If it returns True, the other searches are abandoned. So the result
+            does not depend on the speed of the searches.
 
         Returns
         -------
         list of Solution
-            In the order of the requests; shorter than they are if there were `enough`.
+            Solutions in the order of the requests; fewer if `enough` returned True.
 
         Raises
         ------
@@ -159,8 +160,8 @@ class Runner:
         searches = [self._open(request) for request in requests]
         for search in searches:
             search.counts = enough is None
-        # The order of requests decides which searches a budget cuts: they go in step then. Searches
-        # that are no use once one of them is cut need not.
+        # With a budget of evaluations, searches advance in step, so that the order of the requests
+        # decides which searches the budget ends. This is unnecessary if `whole`.
         counted = self._budget.evaluations_left < np.inf
         self._in_step = counted and len(searches) > 1 and not self._whole
         try:
@@ -185,7 +186,7 @@ class Runner:
         return solutions
 
     def _interrupt(self) -> None:
-        """From now on nothing of what was asked for is wanted any more."""
+        """Mark the runner as interrupted, and cancel all tasks that have not begun."""
         self.interrupted = True
         self._pending.drop_all()
 
@@ -196,7 +197,7 @@ class Runner:
         enough: Enough,
         interrupts: DeferredInterrupts,
     ) -> list[SearchState]:
-        """Run until all have ended, or the first of them are enough; those that count."""
+        """Run until all searches have ended or the first are enough; return the used searches."""
         self.display.begin()
         waiting = searches[::-1]
         counted = 0
@@ -226,7 +227,7 @@ class Runner:
     def _begin_searches(
         self, waiting: list[SearchState], searches: Sequence[SearchState], at_once: int | None
     ) -> None:
-        """Begin the next searches, in order, as many as may be under way."""
+        """Begin the next searches in their order, up to `at_once` simultaneous searches."""
         while waiting:
             begun = len(searches) - len(waiting)
             under_way = sum(s.solution is None for s in searches[:begun])
@@ -253,11 +254,11 @@ class Runner:
         values : (experiments, parameters)
             Physical values of the model's parameters, a row for each experiment.
         experiments
-            Indices into the problem's experiments.
+            Indices of the problem's experiments.
         want, name
-            What for, and what the log calls it.
+            The wanted result, and the name in the log.
         effects
-            What is added to the model.
+            Effects that are added to the model.
         """
         tasks = []
         for row, experiment in zip(values, experiments, strict=True):
@@ -266,7 +267,7 @@ class Runner:
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)
         try:
-            # after an interrupt only what takes a few seconds is simulated still
+            # after an interrupt there are only a few seconds for simulations
             hurry: contextlib.AbstractContextManager[None] = (
                 later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
             )
@@ -277,7 +278,7 @@ class Runner:
                     for outcome in outcomes:
                         if outcome.task in own:
                             answers[outcome.task] = self._pending.note(outcome)
-                        else:  # left over from a search that was ended from outside
+                        else:  # from a search that was ended from outside
                             self._receive(outcome)
         except KeyboardInterrupt:
             self._interrupt()
@@ -294,11 +295,11 @@ class Runner:
         return SearchState(request, request.method.search(request.space, generator))
 
     def _advance(self, search: SearchState, answers: list[Evaluation] | None) -> None:
-        """Send a search its answers and queue what it asks for next."""
+        """Send evaluations to a search and queue its next requests."""
         while True:
             try:
                 points = next(search.steps) if answers is None else search.steps.send(answers)
-                # what is of no use without points that would be beyond the budget
+                # the budget is too small for the follow-up points
                 while (
                     points.follow_up
                     and not (self._whole or self._budget.exhausted)
@@ -334,33 +335,33 @@ class Runner:
         self._executor.submit(tasks)
 
     def _receive(self, outcome: Outcome) -> None:
-        """Hand an outcome to who waits for it; let those go on that have all they asked for."""
+        """Store an outcome in the searches that wait for it, and advance ready searches."""
         for search in self._pending.receive(outcome):
             if search.ready and search.solution is None and not self._in_step:
                 self._advance(search, search.take_answers())
 
     def _drop(self, search: SearchState, indices: tuple[int, ...]) -> None:
-        """Forget points that nobody wants; those simulations that have not begun need not."""
+        """Drop pending points of a search, and cancel their simulations if possible."""
         for index in indices:
             search.pending.pop(index, None)
         if indices:
             self._pending.drop_unwanted()
 
     def _finish(self, search: SearchState, ending: Ending) -> None:
-        """End a search from outside, with the best point that it has seen."""
+        """End a search from outside, with its best point so far."""
         search.cut_short(ending)
         self._end(search)
 
     def _end(self, search: SearchState) -> None:
-        """Note how a search ended, as the last line of its table."""
+        """Add the last line to the iteration table of a search."""
         last = search.last_line()
         if last is not None:
             self._note_line(search, last)
 
     def _note_line(self, search: SearchState, line: Progress) -> None:
-        """Note a line of a search's table, at once where it is sure that the search counts.
+        """Add a line to a search's table, at once if the search certainly counts.
 
-        Lines of a search that may be given up wait: how far it came by then, only the clock says.
+        Lines of a search that may be abandoned are held back, because they depend on timing.
         """
         best = search.best_point()
         search.lines.append(SearchIteration(search.request.name, line, search.asked, best))
@@ -368,7 +369,7 @@ class Runner:
             self._count(search)
 
     def _count(self, search: SearchState) -> None:
-        """Let a search count, with the lines that it has so far."""
+        """Mark a search as counted, and note its lines so far."""
         search.counts, lines, search.lines = True, search.lines, []
         for line in lines:
             self._note(line)

@@ -1,7 +1,7 @@
-"""A search in progress: what it has asked for, what has come back, and what it is sent.
+"""A search in progress: its requested points, their outcomes and its evaluations.
 
-Several searches may wait for the same task: a simulation is never asked for twice while it is under
-way or remembered.
+Several searches may wait for the same task. A simulation is not requested twice while it is in
+progress or its outcome is cached.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from workers.messages import REDUCTIONS, Effect, FloatArray, Outcome, Status, Ta
 def assemble_evaluation(
     space: SearchSpace, x: FloatArray, outcomes: tuple[Outcome, ...], index: int
 ) -> Evaluation:
-    """Join the outcomes of a point's experiments, which stand in their order.
+    """Return the evaluation of a point from the outcomes of its experiments.
 
     Parameters
     ----------
     space, x
-        Where the point lies.
+        The space and the point.
     outcomes
-        One for each experiment of the space, with its priors.
+        One outcome for each experiment of the space, in their order, with its priors.
     index
-        The number of the point among all that its search has asked for.
+        Number of the point among all points of its search.
     """
     if not all(outcome.ok for outcome in outcomes):
         return Evaluation(outcomes, np.nan, violation=np.nan, index=index)
@@ -56,9 +56,9 @@ def assemble_evaluation(
 
 
 def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> Outcome:
-    """Return the outcome of an experiment with the residuals of the priors that count with it.
+    """Return the outcome of an experiment with the residuals of its priors.
 
-    They stand in no log and come from no worker: they follow from the point alone.
+    The residuals of priors depend only on the point. Logs and workers do not contain them.
     """
     if not outcome.ok or not len(space.priors.places[e]):
         return outcome
@@ -67,7 +67,7 @@ def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> 
 
 
 def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
-    """The largest violation; 0 where all are satisfied, infinite where one has no value."""
+    """Return the largest violation; 0 if all are satisfied, infinite if a value is undefined."""
     if np.isnan(constraints).any():
         return np.inf
     sizes = np.where(equality, np.abs(constraints), np.maximum(constraints, 0.0))
@@ -75,24 +75,25 @@ def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float
 
 
 MEMORY_BYTES = 256 * 2**20
-"""What is remembered to answer repeated questions without simulating."""
+"""Size of the cache of outcomes, which avoids repeated simulations."""
 OUTCOME_BYTES = 800
-"""What an outcome takes besides its residuals."""
+"""Size of a cached outcome without its residuals."""
 
 MOST_NAMED_VALUES = 1000
-"""Unknowns up to which the values of the best point go into each line of a search's table."""
+"""Largest number of unknowns for which the iteration table has the values of the best point."""
 
 Question = tuple[int, bytes, tuple[Effect, ...], Want, float]
-"""Experiment, values and effects, which make a simulation, what is wanted of it, and the bound
-above which it ends early: whole residuals never stand in for reduced ones, nor one bound for
-another, or bits would depend on which of them came first."""
+"""Key of a simulation: experiment, values, effects, wanted result, and bound of the early end.
+
+An outcome answers only questions with the same wanted result and bound. Otherwise the bits of a
+result would depend on the order of the simulations."""
 
 
 @dataclass(frozen=True)
 class SearchRequest:
-    """One search: a method let loose on a space.
+    """A request to search a space with a method.
 
-    `name` tells searches apart in the log; `seed` starts the method's random generator.
+    `name` identifies the search in the log. `seed` is the seed of the method's random generator.
     """
 
     name: str
@@ -102,13 +103,13 @@ class SearchRequest:
 
 
 def suited(space: SearchSpace, method: Method) -> SearchSpace:
-    """The space as a method is given it: reduced, unless it looks at single residuals."""
+    """Return the space for a method: reduced, unless the method needs every residual."""
     return space if method.needs_every_residual else replace(space, reduced=True)
 
 
 @dataclass
 class PendingPoint:
-    """A point that was asked for, and the outcomes that are there already."""
+    """A requested point, and its outcomes so far."""
 
     index: int
     x: FloatArray
@@ -118,7 +119,7 @@ class PendingPoint:
 
 @dataclass
 class SearchState:
-    """A search in progress and the points that it waits for, by index."""
+    """A search in progress, with its pending points by index."""
 
     request: SearchRequest
     steps: Search
@@ -138,13 +139,13 @@ class SearchState:
 
     @property
     def ready(self) -> bool:
-        """True where all that it waits for is there."""
+        """True if the search can go on with the evaluations so far."""
         if self.asynchronous:
             return bool(self.answers) or not self.pending
         return not self.pending
 
     def expect(self, points: Points) -> int:
-        """Wait for points from now on, and return the index of the first of them."""
+        """Register points as pending; return the index of the first point."""
         self.asynchronous, self.purpose = points.asynchronous, points.purpose
         self.sensitivities = points.sensitivities
         first, count = self.asked, len(self.request.space.experiments)
@@ -155,7 +156,7 @@ class SearchState:
         return first
 
     def place(self, index: int, e: int, outcome: Outcome) -> None:
-        """Put an outcome where it is waited for; evaluate the point that it completes."""
+        """Store the outcome of a pending point's experiment; evaluate the point if complete."""
         point = self.pending.get(index)
         if point is None:  # dropped, or the search has ended
             return
@@ -171,7 +172,7 @@ class SearchState:
             self.answers.append((assemble_evaluation(space, x, outcomes, index), x))
 
     def take_answers(self) -> list[Evaluation]:
-        """The evaluations that it is sent, in the order in which it asked for them."""
+        """Return the new evaluations for the search, in the order of its requests."""
         answers = sorted(self.answers, key=lambda answer: answer[0].index)
         self.answers = []
         for evaluation, x in answers:
@@ -180,14 +181,14 @@ class SearchState:
         return [evaluation for evaluation, _ in answers]
 
     def cut_short(self, ending: Ending) -> None:
-        """End with the best point so far, or with the start without such a point."""
+        """End the search with the best point so far, or with the start if there is none."""
         x = self.request.space.start if self.best_x is None else self.best_x
         cost = np.nan if self.best is None else self.best.cost
         self.solution = Solution(x, cost, ending, iterations=self.progress.iteration, at=self.best)
         self.pending.clear()
 
     def best_point(self) -> BestPoint | None:
-        """Return the best point so far, for those who watch."""
+        """Return the best point so far; None if there is none or it has too many unknowns."""
         best, space = self.best, self.request.space
         if best is None or self.best_x is None or space.size > MOST_NAMED_VALUES:
             return None
@@ -195,7 +196,7 @@ class SearchState:
         return BestPoint(best.cost, violation, space.estimates(self.best_x))
 
     def last_line(self) -> Progress | None:
-        """Return how it ended, as a line of its table; None if it has not."""
+        """Return the last line of the iteration table; None if the search has not ended."""
         solution = self.solution
         if solution is None:
             return None
@@ -212,30 +213,30 @@ class SearchState:
 
 
 Slot = tuple[SearchState, int, int]
-"""A search, the index of its point, and the position of the experiment: where an outcome goes."""
+"""The destination of an outcome: search, index of the point, position of the experiment."""
 
 
 class _AskedTask(NamedTuple):
-    """A task that was asked for, and what it answers."""
+    """A requested task and its question."""
 
     origin: TaskOrigin
     question: Question
 
 
 class PendingTasks:
-    """Stands between searches and an executor.
+    """The tasks of all searches, between the searches and an executor.
 
     Parameters
     ----------
     executor
-        Where tasks run.
+        The executor that runs the tasks.
     record
         Called once for each simulation, in the order in which they end.
 
     Attributes
     ----------
     simulations, failures
-        How many there were.
+        Number of simulations and of failed simulations.
     """
 
     def __init__(self, executor: Executor, record: Record) -> None:
@@ -252,7 +253,7 @@ class PendingTasks:
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:
-        """Record and count nothing of what ends here."""
+        """Neither record nor count simulations that end within this context."""
         record, before = self._record, (self.simulations, self.failures)
         self._record = lambda *_: None
         try:
@@ -263,7 +264,7 @@ class PendingTasks:
 
     @property
     def under_way(self) -> int:
-        """Tasks that were made and have not been answered."""
+        """Number of tasks without an outcome."""
         return len(self._under_way)
 
     def task(
@@ -274,7 +275,7 @@ class PendingTasks:
         values: FloatArray,
         effects: tuple[Effect, ...],
     ) -> Task:
-        """A new task for a simulation outside any search; the caller submits it."""
+        """Return a new task for a simulation outside any search; the caller submits it."""
         return self._make(
             (experiment, values.tobytes(), effects, want, np.inf), values, name, 0, want
         )
@@ -289,9 +290,9 @@ class PendingTasks:
         return task
 
     def request(self, search: SearchState, points: Points) -> Iterator[Task]:
-        """Give the tasks of a search's next points, experiment by experiment.
+        """Yield the tasks of a search's next points.
 
-        What is known already, or asked for by another search, takes no task.
+        There is no task for cached outcomes and for simulations that another search requested.
         """
         space = search.request.space
         first = search.expect(points)
@@ -299,7 +300,7 @@ class PendingTasks:
         values = [space.physical(x) for x in points.x]
         finite = [np.asarray(np.isfinite(each).all(axis=1)) for each in values]
         places = [(p, e) for e in range(len(space.experiments)) for p in range(len(points.x))]
-        if points.asynchronous:  # a point is answered when it is complete, so one after the other
+        if points.asynchronous:  # simulate point by point, so that points are complete early
             places.sort()
         for p, e in places:
             slot = search, first + p, e
@@ -311,7 +312,7 @@ class PendingTasks:
                 yield task
 
     def _ask(self, slot: Slot, experiment: int, values: FloatArray, bound: float) -> Task | None:
-        """Make a task for what is not known and nobody has asked for; else fill the slot."""
+        """Return a new task for a slot; None if the outcome is cached or already requested."""
         search, index, place = slot
         space = search.request.space
         effects, want = space.problem.effects, space.wants[place]
@@ -327,7 +328,7 @@ class PendingTasks:
         return self._make(question, values, search.request.name, index, search.purpose)
 
     def receive(self, outcome: Outcome) -> Iterator[SearchState]:
-        """Fill the slots that wait for an outcome, one by one; after each, whose it was."""
+        """Fill the slots that wait for an outcome; yield the search of each filled slot."""
         asked = self._under_way.get(outcome.task)
         if asked is None:
             return
@@ -338,7 +339,7 @@ class PendingTasks:
             yield slot[0]
 
     def _remember(self, question: Question, outcome: Outcome) -> None:
-        """Keep what answers a repeated question without simulating, up to a size."""
+        """Cache an outcome; clear the cache before if it would become too large."""
         kept = (outcome.residuals, outcome.sensitivities)
         size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
         if self._known_bytes + size > MEMORY_BYTES:
@@ -347,18 +348,18 @@ class PendingTasks:
         self._known_bytes += size
 
     def forget(self) -> None:
-        """Remember no answers any more."""
+        """Clear the cache of outcomes."""
         self._known.clear()
         self._known_bytes = 0
 
     def note(self, outcome: Outcome) -> Outcome:
-        """Count and record the outcome of a task; what it is taken for."""
+        """Count and record the outcome of a task; return it, or a failure if its size is wrong."""
         origin = self._under_way.pop(outcome.task).origin
         if outcome.residuals is not None:
             found = len(outcome.residuals)
             kind = origin.task.experiment, origin.task.want in REDUCTIONS
             wanted = self._sizes.setdefault(kind, found)
-            if found != wanted:  # of a user's function, on a worker that saw no other point yet
+            if found != wanted:  # from a user's function, on a worker without an earlier point
                 message = f"there are {found} residuals, but at the first point there were {wanted}"
                 seconds, worker = outcome.seconds, outcome.worker
                 outcome = Outcome(
@@ -370,7 +371,7 @@ class PendingTasks:
         return outcome
 
     def drop_unwanted(self) -> None:
-        """Take back what no search waits for any more and no worker has begun."""
+        """Cancel tasks that no search needs any more and that have not begun."""
         unwanted = {
             question
             for question, slots in self._waiting.items()
@@ -379,7 +380,7 @@ class PendingTasks:
         self._cancel([t for t, asked in self._under_way.items() if asked.question in unwanted])
 
     def drop_all(self) -> None:
-        """Take back all that no worker has begun."""
+        """Cancel all tasks that have not begun."""
         self._cancel(list(self._under_way))
 
     def _cancel(self, tasks: list[int]) -> None:
@@ -393,10 +394,10 @@ def _place(slot: Slot, outcome: Outcome) -> None:
 
 
 def _bounds(space: SearchSpace, points: Points) -> FloatArray:
-    """Return the sums of squares (points,) above which no experiment need be simulated further.
+    """Return the sums of squares (points,) above which a simulation may end early.
 
-    What other experiments and priors add to a cost is not negative, so that a sum of one
-    experiment that is above the bound of the cost is enough.
+    Other experiments and priors add nonnegative terms to the cost. So a simulation may end if the
+    sum of squares of its experiment alone exceeds the bound of the cost.
     """
     if points.bounds is None or not isinstance(space.problem.cost, SumSquared):
         return np.full(len(points.x), np.inf)
@@ -404,7 +405,7 @@ def _bounds(space: SearchSpace, points: Points) -> FloatArray:
 
 
 def _no_values(space: SearchSpace, values: FloatArray) -> Outcome:
-    """The outcome of a point at which a parameter has no value."""
+    """Return the outcome of a point at which the value of a parameter is not finite."""
     named = [p.name for p in space.problem.parameters if not p.auxiliary]
     first = int(np.flatnonzero(~np.isfinite(values))[0])
     return Outcome(

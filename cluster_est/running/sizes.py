@@ -1,9 +1,9 @@
-"""The size of an unknown that starts at 0, from what a change of it does to the residuals.
+"""The size of an unknown that starts at 0, from the effect of its changes on the residuals.
 
-Steps, differences and what counts as nothing are relative to the size of an unknown. That of a
-start other than 0 is the start's own. At 0 there is none: 1 is as arbitrary as the unit that the
-parameter is given in, and so is a part of wide bounds. So trial steps look for the change of the
-unknown that changes the residuals as much as there is left of them, whatever the units.
+Steps, differences and tolerances are relative to the size of an unknown. The size is the magnitude
+of the start if that is not 0. Otherwise a size of 1 is as arbitrary as the unit of the parameter,
+and so is a part of wide bounds. So trial steps search for the change of the unknown that changes
+the residuals by as much as their own norm. This size does not depend on units.
 """
 
 from __future__ import annotations
@@ -21,28 +21,27 @@ from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray
 
 MOST_TRIAL_STEPS = 8
-"""Trial steps at most."""
+"""Largest number of trial steps."""
 CLEAR_CHANGE_FACTOR = 100.0
-"""A change of the residuals within this factor of what is left of them shows the size."""
+"""Largest ratio, in either direction, of the residuals' change to its target that gives a size."""
 FIRST_TRIAL_STEP = 2.0**-50
-"""First trial step, of the size as it is: one that is far too long may take hours to simulate."""
+"""First trial step, relative to the preliminary size; a far longer step may simulate for hours."""
 TRIAL_STEP_REDUCTION, TRIAL_STEP_GROWTH = 1e-4, 1e8
-"""Factors of a trial step whose simulation fails, and of one that changes no bit."""
+"""Factors of a trial step whose simulation fails, and of a trial step without any effect."""
 LARGEST_TRIAL_FACTOR = 1e16
-"""Largest factor of one trial step."""
+"""Largest factor from one trial step to the next."""
 LEAST_RESIDUAL_SHARE = 1e-3
-"""Share of the measured outputs that the rest of the residuals counts as at least."""
+"""Lower limit of the norm of the residuals, as a share of the norm of the measured outputs."""
 MUCH_SMALLER_SIZE = 1e-2
-"""Part of a size from bounds: a measured size takes its place where it is smaller than this
-part."""
+"""A measured size replaces a size from bounds only if it is smaller than this part of it."""
 EVALUATIONS_LEFT_PER_UNKNOWN = 10
-"""Evaluations for each unknown that a budget must have left, or sizes stay what they are."""
+"""Evaluations per unknown that the budget must have left for the measurement of sizes."""
 
 
 def with_sizes(runner: Runner, space: SearchSpace) -> SearchSpace:
-    """Return the space with sizes for its unknowns that start at 0.
+    """Return the space with measured sizes of the unknowns that start at 0.
 
-    An unknown whose size cannot be measured keeps what it has.
+    If a size cannot be measured, the unknown keeps its preliminary size.
     """
     wanted = np.array([u.start == 0.0 and u.size == 0.0 and not u.log for u in space.unknowns])
     if not wanted.any() or runner.evaluations_left < EVALUATIONS_LEFT_PER_UNKNOWN * (
@@ -64,12 +63,12 @@ def with_sizes(runner: Runner, space: SearchSpace) -> SearchSpace:
 
 @dataclass(frozen=True)
 class _Sizes(Method):
-    """Trial steps from the start; its solution holds sizes in place of a point.
+    """A method that measures sizes by trial steps; its solution holds sizes in place of a point.
 
     Attributes
     ----------
     wanted : (unknowns,)
-        Whose sizes are looked for; those of others are 0.
+        True for unknowns whose size is measured; the sizes of the others are 0.
     """
 
     name: ClassVar[str] = "sizes"
@@ -99,7 +98,7 @@ class _Sizes(Method):
                     ratio = _change(space, at, found, i) / float(targets[i])
                     if 1.0 / CLEAR_CHANGE_FACTOR <= ratio <= CLEAR_CHANGE_FACTOR:
                         open_[i] = False
-                        # of other units by a power of two it changes no bit
+                        # a power of two: a change of units by a power of two changes no bit
                         exponent = np.round(np.log2(abs(float(point[i] - x[i])) / ratio))
                         sizes[i] = float(2.0**exponent)
                     steps[i] *= _factor(ratio)
@@ -107,7 +106,7 @@ class _Sizes(Method):
 
 
 def _targets(space: SearchSpace, at: Evaluation) -> FloatArray:
-    """Return (unknowns,): what is left of the residuals that each unknown acts on."""
+    """Return the norm of the residuals that each unknown acts on, (unknowns,)."""
     left = np.zeros(len(space.experiments))
     for e, (outcome, number) in enumerate(zip(at.outcomes, space.experiments, strict=True)):
         experiment = space.problem.experiments[number]
@@ -118,7 +117,7 @@ def _targets(space: SearchSpace, at: Evaluation) -> FloatArray:
 
 
 def _change(space: SearchSpace, at: Evaluation, found: Evaluation, i: int) -> float:
-    """Return the change of the residuals that an unknown acts on; NaN where one failed."""
+    """Return the change of the residuals that an unknown acts on; NaN if a simulation failed."""
     squares = 0.0
     for e in np.flatnonzero(space.acts_on[i]).tolist():
         before, after = at.outcomes[e].residuals, found.outcomes[e].residuals
@@ -130,7 +129,7 @@ def _change(space: SearchSpace, at: Evaluation, found: Evaluation, i: int) -> fl
 
 
 def _factor(ratio: float) -> float:
-    """Return the factor of the next trial step, after a change of the residuals over its target."""
+    """Return the factor of the next trial step from the residuals' change over its target."""
     if not np.isfinite(ratio):
         return TRIAL_STEP_REDUCTION
     return (

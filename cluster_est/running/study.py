@@ -1,7 +1,8 @@
-"""A study: a question to a problem, which is checked before anything is simulated and then run.
+"""Studies: analyses of a problem, which are checked before any simulation and then run.
 
-A fit, a sensitivity analysis, a closed loop and a design are studies. Python makes one from
-arguments, a config from its sections, and a sweep makes many; all are checked and run the same way.
+A fit, a sensitivity analysis, a closed loop and a design are studies. Python creates a study from
+arguments, a config from its sections, and a sweep creates many studies. All are checked and run in
+the same way.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ Answer = TypeVar("Answer", covariant=True)
 
 
 class Study(ABC, Generic[Answer]):
-    """A question to a problem, with all settings that its answer depends on.
+    """An analysis of a problem, with all settings that affect its result.
 
-    The answer does not depend on the environment: it is the same for any number of workers.
+    The result does not depend on the environment: it is the same for any number of workers.
     """
 
     @abstractmethod
     def check(self) -> None:
-        """Refuse what cannot be answered; nothing is simulated.
+        """Raise an error if the study cannot be run, without any simulation.
 
         Raises
         ------
@@ -37,12 +38,12 @@ class Study(ABC, Generic[Answer]):
 
     @abstractmethod
     def run(self, environment: RunEnvironment) -> Answer:
-        """Simulate, and answer.
+        """Run the study and return its result.
 
         Parameters
         ----------
         environment
-            Workers, budget, who is told of the simulations, and what an interrupted run has left.
+            Workers, budget, listeners, and the log of an interrupted run.
 
         Raises
         ------
@@ -59,14 +60,14 @@ def run_study(
     callback: Callback | None = None,
     record: Record | None = None,
 ) -> Answer:
-    """Check a study and run it on workers of its own.
+    """Check a study and run it with its own workers.
 
     Parameters
     ----------
     study
-        What to do.
+        The study to run.
     resources
-        Where simulations run, and the budget.
+        Executor, budget and limits.
     progress, callback, record
         See `progress_of`, `note_of` and `Runner`.
 
@@ -79,6 +80,6 @@ def run_study(
     resources = checked_resources(resources)
     note = note_of(callback)
     shown = progress_of(progress, resources.budget)
-    with SharedPools() as pools, shown as show:  # a cluster is joined once
+    with SharedPools() as pools, shown as show:  # joins a cluster only once
         environment = RunEnvironment(resources, Monitor(record, show, note), source=pools)
         return study.run(environment)

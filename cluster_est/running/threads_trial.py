@@ -1,4 +1,4 @@
-"""Whether an FMU may be simulated by several threads: two instances are tried side by side."""
+"""A test of whether several threads may simulate an FMU, with two simultaneous instances."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from workers.process.trial import NoAnswer, ProbeBench
 
 @dataclass(frozen=True)
 class Trial:
-    """Some simulations of an FMU, and what they are to show.
+    """A set of simulations that tests one property of an FMU.
 
-    Another value of a parameter, of an experiment or of the solver's settings makes another trial:
-    an FMU may crash with one and not with the other.
+    The trial depends on the values of parameters, experiments and solver settings, because an FMU
+    may crash with some values only.
 
     Attributes
     ----------
     shows
-        It has "survived" if it was simulated, reset and simulated again without a crash; it was
-        "undisturbed" if two instances at once gave what one alone gives.
+        The tested property. "survived": it was simulated, reset and simulated again without a
+        crash. "undisturbed": two simultaneous instances gave the same results as one instance.
     model, experiments, tasks
         The simulations.
     """
@@ -42,22 +42,22 @@ class Trial:
 
     @property
     def passed(self) -> bool:
-        """True if that was shown here before."""
+        """True if the FMU passed this trial on this machine before."""
         return self._mark.exists()
 
     def remember(self) -> None:
-        """Remember that; where it cannot be written down, the FMU is tried again the next time."""
+        """Record that the FMU passed; if this fails, the trial is repeated the next time."""
         with contextlib.suppress(OSError):
             self._mark.touch()
 
     @cached_property
     def _mark(self) -> Path:
-        """A file beside the unpacked FMU, named after all that was simulated."""
+        """A file beside the unpacked FMU, named after a hash of the simulations."""
         parts: list[str | bytes] = [self.model.key]
         for task in self.tasks:
             experiment = self.experiments[task.experiment]
             parts += [task.values.tobytes(), repr((experiment.start, experiment.stop))]
-            parts += [repr(experiment.values)]  # what was measured does not matter
+            parts += [repr(experiment.values)]  # measurements have no effect
             for given in experiment.inputs:
                 parts += [given.variable, given.interpolation]
                 parts += [given.times.tobytes(), given.values.tobytes()]
@@ -66,24 +66,24 @@ class Trial:
 
 
 PERTURBATION_FACTOR = 1.37
-"""Ratio of the values of two simulations that must not see each other: no round number."""
+"""Ratio of the parameter values of the two simulations; not a round number."""
 NO_HURRY = 1e6
-"""Seconds: a clock must not decide what a run may do."""
+"""Time limit in seconds, so long that results do not depend on the machine's speed."""
 INSTANCES_AT_ONCE = 2
-"""Instances that are tried at once."""
+"""Number of simultaneous instances in the trial."""
 DISTURBED = "give different results while another one is simulated"
 
 
 def two_simulations(problem: Problem, first: int = 0) -> SideBySideProbe:
-    """Return the probe whose two simulations differ in as much as a problem has to offer.
+    """Return the probe of two simulations that differ in parameters and, if possible, known values.
 
     Parameters
     ----------
     problem
-        What is simulated, at its start values and somewhat beside them.
+        The problem, which is simulated at its start values and at a point nearby.
     first
-        Index of the experiment of one instance. The other one's has other known values, if there
-        are any.
+        Index of the first instance's experiment. The second instance's experiment has other known
+        values, if possible.
     """
     space = make_space(problem, tuple(range(len(problem.experiments))))
     own = problem.experiments[first].values
@@ -96,16 +96,16 @@ def two_simulations(problem: Problem, first: int = 0) -> SideBySideProbe:
 
 
 def what_disturbs(problem: Problem, make_room: Callable[[], None] | None = None) -> str:
-    """Return what two instances in one process do if both are used, as a verb; "" if nothing bad.
+    """Return the fault of two simultaneous instances in one process, as a verb; "" if none.
 
-    That is tried in a process of its own, where there are such processes: it may crash.
+    The trial may crash, so it runs in a separate process if the system supports this.
 
     Parameters
     ----------
     problem
-        What is simulated.
+        The problem to simulate.
     make_room
-        Called before: it lets so many instances go, where their number is limited.
+        Called before the trial, to free instances if their number is limited.
 
     Raises
     ------

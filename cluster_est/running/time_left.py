@@ -1,9 +1,8 @@
-"""The time that searches still take, from the work that is left and the speed of what is done.
+"""Estimates of the remaining time of searches, from the remaining work and the speed so far.
 
-Three things tell how much work is left: a budget of evaluations or seconds, a limit of iterations
-or points that will be reached, and the searches of many that have ended, whose lengths those of the
-others resemble. Nothing tells it of a single search that converges: its step, mesh or cost falls at
-a rate that changes all the time.
+The remaining work follows from one of three sources: a budget of evaluations or seconds; a limit of
+iterations or points; or the lengths of other searches that have ended. It is unknown for a single
+converging search, because the rate of decrease of its step, mesh or cost varies.
 """
 
 from __future__ import annotations
@@ -23,18 +22,19 @@ from cluster_est.running.search_state import PendingTasks, SearchState
 from workers.messages import FloatArray
 
 TELLING_ITERATIONS = 25
-"""A search that may take more iterations mostly takes far fewer: its limit tells no time."""
+"""Largest limit of iterations that is used as an estimate.
+
+With a higher limit, most searches end long before the limit."""
 LEAST_SHARE_OF_WORK = 0.05
-"""Share of the work from whose time that of the rest is known."""
+"""Least share of completed work for an estimate of the remaining time."""
 LEAST_ENDED = 3
-"""Searches that have ended, from whose lengths those of the others are known."""
+"""Least number of ended searches for an estimate of the lengths of the others."""
 
 
 def _share_done(search: SearchState) -> float:
-    """Return the share of the work of a search that is done at least; NaN if nobody knows.
+    """Return a lower limit of the completed share of a search; NaN if unknown.
 
-    Of a search with few iterations that is the share of these, of given points that of those that
-    are evaluated.
+    It is the share of iterations if their limit is small, or the share of evaluated given points.
     """
     if search.solution is not None:
         return 1.0
@@ -46,15 +46,15 @@ def _share_done(search: SearchState) -> float:
     if not 0 < most <= TELLING_ITERATIONS:
         return np.nan
     answered = 1.0 - waits / search.requested if search.requested else 0.0
-    # only an iteration that is a single request has a share that is done
+    # an iteration has a completed share only if it is a single request
     of_iteration = answered if search.purpose == "generation" else 0.0
     return float(min(1.0, (search.progress.iteration + of_iteration) / most))
 
 
 def _evaluations_left(searches: Sequence[SearchState]) -> float:
-    """Return how many points searches that converge will still ask for; NaN if nobody knows.
+    """Return the expected number of further points of converging searches; NaN if unknown.
 
-    From the lengths of those that have ended, if there are some, and how far the others are.
+    It follows from the lengths of the ended searches and the numbers of points of the others.
     """
     ended = np.array([s.asked for s in searches if s.solution is not None], np.float64)
     begun = np.array([s.asked for s in searches if s.solution is None], np.float64)
@@ -65,11 +65,11 @@ def _evaluations_left(searches: Sequence[SearchState]) -> float:
 
 
 def _lengths(ended: FloatArray, begun: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return lengths of searches, and the probability of each.
+    """Return lengths of searches, and the probability of each length.
 
-    The estimate of E. L. Kaplan, P. Meier, J. Am. Stat. Assoc. 53 (1958) 457-481,
-    doi:10.1080/01621459.1958.10501452: those that are under way are longer than they are now. If
-    the longest one is among them, it is taken to end at the next point.
+    The Kaplan-Meier estimate with running searches as censored observations: E. L. Kaplan,
+    P. Meier, J. Am. Stat. Assoc. 53 (1958) 457-481, doi:10.1080/01621459.1958.10501452. If the
+    longest search is still running, it counts as ended.
     """
     times = np.concatenate([ended, begun])
     is_end = np.arange(len(times)) < len(ended)
@@ -82,7 +82,7 @@ def _lengths(ended: FloatArray, begun: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _residual(lengths: FloatArray, weights: FloatArray, asked: float) -> float:
-    """Return the expected number of points that a search still asks for after so many."""
+    """Return the expected number of further points of a search after `asked` points."""
     longer = lengths > asked
     total = float(np.add.reduce(weights[longer]))
     if total <= 0.0:
@@ -91,21 +91,21 @@ def _residual(lengths: FloatArray, weights: FloatArray, asked: float) -> float:
 
 
 class BudgetWatch:
-    """Counts evaluations and seconds from now on.
+    """A counter of evaluations and seconds, which begins when it is created.
 
     Parameters
     ----------
     budget
-        When to stop.
+        Limits of evaluations and seconds.
     clock
-        Gives seconds.
+        Function that returns seconds.
 
     Attributes
     ----------
     evaluations, requests
-        Points asked for so far, and in how many requests; the runner adds to them.
+        Number of points and of requests so far; the runner adds to them.
     used_up
-        True once a search has ended because no room was left for what it needed next.
+        True after a search has ended because the budget was too small for its next request.
     """
 
     def __init__(self, budget: Budget, clock: Callable[[], float] = time.monotonic) -> None:
@@ -117,28 +117,28 @@ class BudgetWatch:
 
     @property
     def seconds(self) -> float:
-        """Used so far."""
+        """Seconds used so far."""
         return self._clock() - self._begin
 
     @property
     def exhausted(self) -> bool:
-        """True where nothing new may be asked for."""
+        """True if no further points may be requested."""
         return self.used_up or self.evaluations_left == 0 or self.seconds_left == 0.0
 
     @property
     def evaluations_left(self) -> float:
-        """Points that may be asked for still; infinite where their number ends nothing."""
+        """Number of points that may still be requested; infinite without a limit."""
         most = self._budget.evaluations
         return np.inf if most is None else max(most - self.evaluations, 0)
 
     @property
     def seconds_left(self) -> float:
-        """Seconds until it is used up; infinite where the clock ends nothing."""
+        """Seconds until the budget is used up; infinite without a limit."""
         longest = self._budget.seconds
         return np.inf if longest is None else max(longest - self.seconds, 0.0)
 
     def error(self) -> BudgetError:
-        """Return the error that says so."""
+        """Return the error for a budget that is used up."""
         return BudgetError(
             f"budget: was used up after {self.evaluations} evaluations in {self.seconds:.0f} s; "
             "raise budget.evaluations or budget.seconds, or leave them out"
@@ -146,21 +146,21 @@ class BudgetWatch:
 
 
 class RunDisplay:
-    """Tells a display how far a runner is.
+    """The display of a runner's progress.
 
     Parameters
     ----------
     show
-        Called with each snapshot; None where nobody looks.
+        Called with each snapshot; None without a display.
     executor, budget, pending
-        Of the runner.
+        Executor, budget and tasks of the runner.
     clock
-        Gives seconds; for tests.
+        Function that returns seconds; for tests.
 
     Attributes
     ----------
     phase
-        What the recipe is about, in words that begin a line; "" where it is no recipe of phases.
+        Text of the current phase at the beginning of a line; "" without phases.
     """
 
     def __init__(
@@ -179,13 +179,13 @@ class RunDisplay:
         self.phase = ""
 
     def begin(self) -> None:
-        """Note that searches begin together."""
+        """Record the start of a group of searches."""
         self._begun = self._clock()
         budget = self._budget
         self._before = self._pending.simulations, budget.evaluations, budget.requests
 
     def show(self, searches: Sequence[SearchState]) -> None:
-        """Show how far they are."""
+        """Show the progress of a group of searches."""
         if self._show is None:
             return
         running = [s for s in searches if s.solution is None] or list(searches)
@@ -213,7 +213,7 @@ class RunDisplay:
         )
 
     def step(self, name: str, done: int, of: int) -> None:
-        """Show how far a step is that simulates nothing; `name` is as that of a search."""
+        """Show the progress of a step without simulations; `name` is like that of a search."""
         seconds = self._budget.seconds
         before = self._last or RunSnapshot(
             name, Progress(0, math.nan), self._budget.evaluations, 0, 0, 0, 0, seconds
@@ -240,14 +240,11 @@ class RunDisplay:
             self._show(snapshot)
 
     def _left(self, searches: Sequence[SearchState], seconds: float) -> tuple[float, bool]:
-        """Return the seconds that searches take from now on, and whether they are a limit.
-
-        NaN if nobody knows.
-        """
+        """Return the remaining seconds of searches (NaN if unknown), and whether it is a limit."""
         budget = self._budget
         share = float(np.mean([_share_done(search) for search in searches]))
         points = budget.evaluations_left
-        if 0.0 < points < math.inf:  # the last request may exceed it, on average by half of one
+        if 0.0 < points < math.inf:  # the last request exceeds it on average by half a request
             evaluations = budget.evaluations - self._before[1]
             requests = budget.requests - self._before[2]
             points += 0.5 * evaluations / max(requests, 1)
@@ -261,9 +258,9 @@ class RunDisplay:
         return (limit, True) if math.isnan(about) or limit < about else (about, False)
 
     def _seconds_for(self, points: float, seconds: float) -> float:
-        """Return the seconds of what is asked for and of further points; NaN if not known.
+        """Return the seconds for all pending simulations and further points; NaN if unknown.
 
-        Of simulations that workers are at, on average, a half is done.
+        A running simulation is on average half done.
         """
         simulations = self._pending.simulations - self._before[0]
         evaluations = self._budget.evaluations - self._before[1]

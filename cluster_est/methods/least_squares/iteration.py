@@ -1,11 +1,10 @@
 """One iteration of a least-squares search: from a local model to the next point.
 
-Steps from several damping factors are tried at once. Along a curved valley they are corrected to
-second order from trials that were evaluated anyway: a trial x + v shows the curvature of the
-residuals along v. Solving for the step again with the residuals r(x + v) - J v in place of r gives
-v + b, where b is the second-order correction: half the geodesic acceleration of M. K. Transtrum,
-J. P. Sethna, arXiv:1201.5885 (2012). Along the parabola s v + s^2 b a step can be longer than the
-trial.
+Steps with several damping factors are tried at once. In a curved valley they are corrected to
+second order, without further evaluations: a trial x + v yields the curvature of the residuals along
+v. The step problem with the residuals r(x + v) - J v in place of r has the solution v + b. The
+second-order correction b is half the geodesic acceleration of M. K. Transtrum, J. P. Sethna,
+arXiv:1201.5885 (2012). Along the parabola s v + s^2 b a step can be longer than the trial.
 """
 
 from __future__ import annotations
@@ -21,22 +20,23 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 CORRECTED = 2
-"""Trials, the longest, that are corrected because they reduced the cost less than a shorter one."""
+"""Largest number of corrected trials: the longest ones that are worse than a shorter trial."""
 EXTENSIONS = (2.0, 4.0)
-"""Values of s at which the parabola of the best trial is tried, too."""
+"""Values of s for further points on the parabola of the best trial."""
 
 
 @dataclass(frozen=True)
 class TrialPoints:
-    """Points that were tried from one point, the longest step first.
+    """Trial points from one point, the longest step first.
 
     Attributes
     ----------
     points, steps : (trials, unknowns)
+        Trial points, and their steps.
     dampings : (trials,)
-        Of the steps.
+        Damping factors of the steps.
     evaluations
-        Of the points.
+        Evaluations of the points.
     """
 
     points: FloatArray
@@ -46,12 +46,12 @@ class TrialPoints:
 
     @property
     def costs(self) -> FloatArray:
-        """(trials,): infinite where a simulation failed."""
+        """Costs (trials,); infinite if a simulation failed."""
         return np.array([at.cost if at.ok else np.inf for at in self.evaluations])
 
     @property
     def best(self) -> int:
-        """The longest step of those with the least cost."""
+        """Index of the trial of least cost; the longest step among equal costs."""
         return int(np.argmin(self.costs))
 
     @property
@@ -62,21 +62,21 @@ class TrialPoints:
 def curved_steps(
     model: LocalModel, trials: TrialPoints, before: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return further steps to try, and the dampings of the trials that they follow from.
+    """Return further steps to try, and their dampings.
 
     Parameters
     ----------
     model
-        Around the point from which the trials started.
+        Local model around the start of the trials.
     trials
         Evaluated steps.
     before
-        Cost of the point.
+        Cost of the start of the trials.
 
     Returns
     -------
     steps, dampings
-        At most as many as there were trials; none where the correction is larger than the step.
+        At most as many as the trials. A step is left out if the correction is larger than it.
     """
     count, best, costs = len(trials.steps), trials.best, trials.costs
     improved = trials.least < before
@@ -108,13 +108,16 @@ LEAST_DAMPING, LARGEST_DAMPING = 1e-14, 1e14
 REDUCTION_NEAR_MINIMUM = 1e-6
 """Relative reduction by a full step below which a point is close to the minimum."""
 NOTICEABLE = 0.04
-"""Fall of the sum of squares, over the variance of the residuals, that is a fifth of a standard
-error of the unknowns: what is closer to the minimum than that is at it, for all that data say."""
+"""Least significant decrease of the sum of squares, over the variance of the residuals.
+
+It corresponds to a fifth of a standard error of the unknowns."""
 SHORTEST_SECANT = 1e-12
 """Smallest square of a part of a step with which derivatives are updated, relative to the square of
 the whole step. A shorter part mostly shows the rounding errors of the simulation."""
 EXHAUSTED = 1e-12
-"""Share of the first cost: residuals of a millionth, as of simulated data without noise."""
+"""Part of the first cost below which the cost is noise of simulations.
+
+Residuals are then a millionth of the first ones, as with simulated data without noise."""
 CURVED_RATIO = 3.0
 """Predicted over actual reduction above which second-order corrections are tried."""
 
@@ -130,13 +133,13 @@ class IterationState:
     largest
         Largest column norms of the Jacobian so far.
     damping
-        With which the next steps begin.
+        Damping factor of the next step.
     relative_reduction
-        Predicted for a full step at the point before, over the sum of squares.
+        Predicted reduction by a full step at the previous point, over the sum of squares.
     full_step
-        The point before and its full step, if that was taken.
+        The previous point and its full step, if the full step was taken.
     start_cost
-        Of the point that the search began at.
+        Cost of the start of the search.
     """
 
     x: FloatArray
@@ -150,7 +153,7 @@ class IterationState:
 
     @property
     def exhausted(self) -> bool:
-        """Whether so little is left of the cost that it is the noise of simulations."""
+        """Whether the remaining cost is only the noise of simulations."""
         return bool(self.at.cost <= EXHAUSTED * self.start_cost)
 
     def moved(
@@ -168,20 +171,20 @@ class IterationState:
 
 
 Result = tuple[IterationState, Ending | None]
-"""The next state, and the ending if it is the last one."""
+"""The next state, and the ending if the search ends."""
 Steps = Generator[Points, list[Evaluation], Result]
 
 
 @dataclass(frozen=True)
 class LeastSquaresIteration:
-    """Tries steps from a point until one lowers the cost.
+    """An iteration, which tries steps from a point until one lowers the cost.
 
     Attributes
     ----------
     space
-        The space that is searched.
+        The search space.
     trials
-        Steps tried at once, each with ten times the damping of the one before.
+        Number of steps tried at once, each with ten times the damping of the previous step.
     ftol, xtol
         Limits below which a step ends the search.
     """
@@ -192,9 +195,12 @@ class LeastSquaresIteration:
     xtol: float
 
     def iterate(self, state: IterationState, model: LocalModel) -> Steps:
-        """Try steps, with ever more damping, until one lowers the cost or none ever will."""
+        """Try steps with increasing damping until one lowers the cost or the damping is too large.
+
+        The search also ends if the longest step is negligible.
+        """
         damping = state.damping
-        below = min(1, self.trials - 1)  # trials with less damping than the state's
+        below = min(1, self.trials - 1)  # number of trials with less damping than the state's
         while True:
             dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - below)
             steps = np.array([model.step(d) for d in dampings])
@@ -202,7 +208,7 @@ class LeastSquaresIteration:
             least = 1e-3 * self.ftol * model.squares
             if state.damping <= 1.0 and (
                 short.all() or model.predicted_reduction(steps[0]) <= least
-            ):  # it changes nothing, in a search that began with little damping
+            ):  # the step is negligible although its damping is small
                 return state, _end_of_steps(state, dampings[0])
             trials = yield from self._try(state, "trial", steps, dampings)
             if self._is_curved(state, model, trials):
@@ -230,7 +236,7 @@ class LeastSquaresIteration:
         return TrialPoints(points, points - state.x, dampings, evaluations)
 
     def _is_curved(self, state: IterationState, model: LocalModel, trials: TrialPoints) -> bool:
-        """Return whether the longest trial's prediction was far above the best actual reduction."""
+        """Return whether the longest trial's prediction far exceeds the best actual reduction."""
         finite = np.flatnonzero(np.isfinite(trials.costs))
         if not len(finite):
             return False
@@ -253,15 +259,16 @@ class LeastSquaresIteration:
 
 
 def enough_to_notice(at: Evaluation) -> float:
-    """Return the relative fall of a cost that data can show at all."""
+    """Return the least relative decrease of a cost that is significant with these data."""
     return max(REDUCTION_NEAR_MINIMUM, NOTICEABLE / max(len(at.residuals), 1))
 
 
 def _end_of_steps(state: IterationState, damping: float) -> Ending:
-    """Return the ending where nothing is left to try, or what is left makes no difference.
+    """Return the ending if no step is left to try, or the next step is negligible.
 
-    A step that was made short by damping says nothing of the minimum: the cost must also promise to
-    fall by no more, or the derivatives are wrong, as where simulations are noisy.
+    A step that is short because of damping does not prove a minimum. With large damping, the
+    search has converged only if the predicted reduction or the cost is negligible. Otherwise the
+    derivatives are wrong, for example because simulations are noisy.
     """
     enough = enough_to_notice(state.at)
     close = damping <= 1.0 or state.relative_reduction <= enough or state.exhausted

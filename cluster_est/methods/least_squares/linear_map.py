@@ -1,13 +1,13 @@
-"""A Jacobian as a linear map: as one array, or experiment by experiment.
+"""A Jacobian as a linear map, stored as one array or as one block for each experiment.
 
-From it follow the damped Gauss-Newton step within bounds, for many damping factors from one
-factorisation, and the reduction that the Gauss-Newton model predicts for a step.
+It yields the damped Gauss-Newton step within bounds. One factorisation serves many damping factors.
+It also yields the reduction that the Gauss-Newton model predicts for a step.
 
-Where experiments have unknowns of their own, these are eliminated from the rows of the experiment;
-the other rows of its factor hold all that it says of the shared unknowns. So time and memory grow
-with the number of experiments, not with its square. Where experiments share unknowns with their
-neighbours, as segments of records do, whose first states stand in the rows of the segment before
-too, they are eliminated along the chain.
+If experiments have unknowns of their own, these are eliminated from the rows of the experiment. The
+other rows of its factor depend only on the shared unknowns. So time and memory grow linearly with
+the number of experiments, not quadratically. Experiments may share unknowns with their neighbours:
+the initial states of a segment of a record occur in the previous segment too. Such unknowns are
+eliminated along the chain.
 
 Symbols: J the Jacobian, R a triangular factor, r the residuals, w the weights, D the scaling, p the
 step, lambda the damping.
@@ -38,17 +38,17 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
 LARGE_MATRIX, PART_OF_MATRIX = 2**21, 2**17
-"""Entries of a Jacobian that is reduced part by part, and of such a part: 16 MB, and 1 MB."""
+"""Entries of a Jacobian that is factored in parts, and of one part: 16 MB and 1 MB."""
 
 LARGEST_RATIO = 1e10
-"""Columns whose sizes differ by more than this are brought to one size before they are factored."""
+"""Ratio of column sizes above which columns are scaled before they are factored."""
 
 
 class StepSolver:
-    """Minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
+    """Solver that minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
 
-    J is reduced to its triangular factor once, so each further damping factor costs a problem as
-    small as the number of unknowns.
+    J is reduced to its triangular factor once. So the size of the problem for each further damping
+    factor is only the number of unknowns.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class StepSolver:
         free = np.linalg.lstsq(system, target, rcond=None)[0]
         if (free >= self._lower).all() and (free <= self._upper).all():
             return np.asarray(free / self._units)
-        from scipy.optimize import lsq_linear  # slow to import, and most steps meet no bound
+        from scipy.optimize import lsq_linear  # slow to import, and most steps need no bounds
 
         bounds = (self._lower, np.maximum(self._upper, np.nextafter(self._lower, np.inf)))
         solved = lsq_linear(system, target, bounds, method="bvls", tol=1e-14).x
@@ -106,11 +106,11 @@ class StepSolver:
 
 
 def _parts(matrix: FloatArray) -> list[slice]:
-    """Return the rows of a large matrix part by part; all at once of others.
+    """Return slices of the rows of a large matrix; one slice for other matrices.
 
-    What is made of a part stays in the cache of a processor, and takes no memory beside the matrix
-    (the factor of all is that of the factors: J. Demmel, L. Grigori, M. Hoemmen, J. Langou, SIAM J.
-    Sci. Comput. 34 (2012) A206-A239, doi:10.1137/080731992).
+    The factor of a part fits into the cache of a processor and needs little memory. The factor of
+    the stacked factors is the factor of the matrix (J. Demmel, L. Grigori, M. Hoemmen, J. Langou,
+    SIAM J. Sci. Comput. 34 (2012) A206-A239, doi:10.1137/080731992).
     """
     count, width = matrix.shape
     if matrix.size <= LARGE_MATRIX:
@@ -120,9 +120,9 @@ def _parts(matrix: FloatArray) -> list[slice]:
 
 
 def _units(scale: FloatArray) -> FloatArray:
-    """Return powers of two that bring columns to one size, where sizes are far apart; else ones.
+    """Return powers of two that scale columns of very different sizes to one size; else ones.
 
-    Small columns would be lost in the rounding of large ones. Dividing by ones changes no bit.
+    Without scaling, small columns would be lost in the rounding errors of large columns.
     """
     if np.max(scale, initial=0.0) <= LARGEST_RATIO * np.min(scale, initial=np.inf):
         return np.ones_like(scale)
@@ -138,9 +138,9 @@ class _BlockGroup:
     columns : (experiments, local + shared)
         Indices of the unknowns.
     local
-        Number of those that act on one experiment alone.
+        Number of unknowns that act on one experiment alone.
     factors : (experiments, m, local + shared + 1)
-        R of their Jacobians and residuals.
+        Triangular factors R of the experiments' Jacobians and residuals.
     """
 
     columns: IntArray
@@ -153,9 +153,9 @@ class _BlockGroup:
         return np.asarray(moved + self.factors[:, :, -1])
 
     def eliminated(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
-        """Return the damped factors, whose first `local` rows hold all of the local unknowns.
+        """Return the damped factors; only their first `local` rows contain local unknowns.
 
-        `roots` has sqrt(lambda) D. Columns of fixed unknowns are zero, and the residuals contain
+        `roots` is sqrt(lambda) D. Columns of fixed unknowns are zero, and the residuals contain
         the effect of their values.
         """
         count, rows, width = self.factors.shape
@@ -170,7 +170,7 @@ class _BlockGroup:
 
 @final
 class FactoredBlocks(FactoredJacobian):
-    """J and r of experiments that share unknowns, if any, with all others.
+    """Factored J and r of experiments whose shared unknowns are solved together.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class FactoredBlocks(FactoredJacobian):
         return np.where(fixed, values, step)
 
     def _left(self, factors: Sequence[FloatArray]) -> Iterator[tuple[IntArray, FloatArray]]:
-        """Give the shared unknowns of each group, and all that its experiments say of them."""
+        """Yield the shared unknowns of each group and the remaining rows of its experiments."""
         for group, factor in zip(self._groups, factors, strict=True):
             rest = factor[:, group.local :, group.local :]
             stacked = rest.reshape(-1, rest.shape[2])
@@ -231,7 +231,7 @@ class FactoredBlocks(FactoredJacobian):
 
 
 def _grouped(matrix: BlockMatrix, residuals: FloatArray, shared: Mask) -> list[_BlockGroup]:
-    """Factorise each experiment's rows; group those that can be treated at once."""
+    """Factorise each experiment's rows; group experiments with factors of one shape."""
     groups: dict[tuple[int, int, bytes], list[tuple[IntArray, FloatArray]]] = {}
     for block, columns, rows in zip(matrix.blocks, matrix.columns, matrix.rows, strict=True):
         order = np.argsort(shared[columns], kind="stable")
@@ -250,7 +250,9 @@ def _grouped(matrix: BlockMatrix, residuals: FloatArray, shared: Mask) -> list[_
 
 @final
 class FactoredChains(FactoredJacobian):
-    """J and r of experiments that share unknowns with the next one, and some with all others.
+    """Factored J and r of experiments that share unknowns with their neighbours.
+
+    Other shared unknowns form the border of the chains.
 
     Parameters
     ----------
@@ -314,34 +316,34 @@ class _DenseMatrix:
 LONGEST_RELATIVE_STEP = 10.0
 """Largest change of an unknown in one step, over its own size.
 
-A longer one can lead to where nothing depends on an unknown any more, and there is no way back.
+A longer step can lead to a region where the residuals do not depend on the unknown any more.
 """
 LARGEST_RESIDUAL_WEIGHT = 1e200
-"""Largest weight of a residual; that of an output which is followed exactly would be infinite."""
+"""Largest weight of a residual; the weight of an exactly fitted output would be infinite."""
 
 
 class LocalModel:
     """The Gauss-Newton model of a cost around a point, within bounds.
 
-    With the cost's weights w the gradient of the cost is 2 J'r of sqrt(w) J and sqrt(w) r, so that
-    |J p + r|^2 of these has the gradient of the cost at p = 0, and its steps descend.
+    With the cost's weights w, the model uses sqrt(w) J and sqrt(w) r in place of J and r. At p = 0,
+    |J p + r|^2 then has the gradient of the cost, 2 J'r, so steps are descent directions.
 
     Parameters
     ----------
     space, x, at, derivatives
-        The point, its evaluation and its Jacobian.
+        The space, the point, its evaluation and its Jacobian.
     largest : (unknowns,)
         Largest column norms of the Jacobian so far.
 
     Attributes
     ----------
     squares
-        Weighted sum of squares of the residuals, to which tolerances are relative: the cost itself
-        may be zero or negative.
+        Weighted sum of squares of the residuals. Tolerances are relative to it, because the cost
+        itself may be zero or negative.
     scale : (unknowns,)
-        `largest` with the column norms at this point; damping is scaled by it.
+        Maximum of `largest` and the column norms at this point, the scale of the damping.
     optimality
-        Largest cosine between the residuals and a column that is not held by a bound.
+        Largest cosine between the residuals and a column of an unknown that no bound blocks.
     """
 
     def __init__(
@@ -358,7 +360,7 @@ class LocalModel:
         if derivatives.blocks.sparse:
             self._jacobian = derivatives.blocks.scaled_rows(self._roots)
         else:
-            plain = bool((self._roots == 1.0).all())  # no second copy of what may be large
+            plain = bool((self._roots == 1.0).all())  # avoids a copy of a large matrix
             matrix = derivatives.matrix
             self._jacobian = _DenseMatrix(matrix if plain else self._roots[:, None] * matrix)
         with np.errstate(over="ignore"):
@@ -393,7 +395,7 @@ class LocalModel:
         return self._solver.step(damping)
 
     def along_walls(self, damping: float) -> FloatArray | None:
-        """Return the step that stays clear of sides on which simulations fail, if there are any."""
+        """Return the step that avoids sides on which simulations fail; None without such sides."""
         if not self._walls.any():
             return None
         lower, upper = self._bounds
@@ -401,7 +403,7 @@ class LocalModel:
         return self._solver_of(self._residuals, lower, upper).step(damping)
 
     def corrected(self, step: FloatArray, at: Evaluation, damping: float) -> FloatArray:
-        """Return the step for residuals with the curvature that `at`, its end, shows."""
+        """Return the step corrected for the curvature of the residuals; `at` is its end."""
         curved = self._roots * at.residuals - self._jacobian.product(step)
         return self._solver_of(curved, *self._bounds).step(damping)
 
@@ -410,16 +412,16 @@ class LocalModel:
         return self.squares - self._solver.predicted_cost(step)
 
     def norm(self, step: FloatArray) -> float:
-        """Return |D p|, the length of a step whatever the units of the unknowns."""
+        """Return |D p|, the length of a step independent of the units of the unknowns."""
         return float(np.linalg.norm(self._diagonal * step))
 
     def inner_product(self, one: FloatArray, other: FloatArray) -> float:
-        """Return the inner product of two steps that goes with `norm`."""
+        """Return the inner product of two steps that belongs to `norm`."""
         return float(np.add.reduce((self._diagonal * one) * (self._diagonal * other)))
 
 
 def unknown_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """Return the size (unknowns,) of each unknown, to which the length of a step is relative."""
+    """Return the size of each unknown (unknowns,), the scale of relative step lengths."""
     return np.maximum(np.abs(x), space.typical)
 
 

@@ -41,12 +41,12 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 FAILED_RESIDUAL = 1e100
-"""SciPy has no failed evaluations: a residual so large makes it shorten its step."""
+"""Residual of a failed evaluation; it makes SciPy shorten its step."""
 
 BY_XTOL = 3
-"""SciPy's status where a step was short."""
+"""SciPy's status after a step shorter than xtol."""
 NEARLY_ORTHOGONAL = 1e-3
-"""Cosine between the residuals and a column, below which a point is a minimum all the same."""
+"""Cosine between the residuals and a column below which a stalled search counts as converged."""
 
 
 class _StartFailedError(Exception):
@@ -57,20 +57,20 @@ class _StartFailedError(Exception):
 class ScipyLeastSquares(Method):
     """SciPy's trust region reflective, dogleg or MINPACK's Levenberg-Marquardt.
 
-    To compare with a well-known implementation. Its trial steps come one at a time, so it keeps at
-    most as many workers busy as there are experiments.
+    Use it to compare with a well-known implementation. It makes one trial step at a time, so it
+    keeps at most as many workers busy as there are experiments.
 
     Attributes
     ----------
     algorithm
-        "trf", "dogbox" or "lm"; "lm" refuses bounds.
+        "trf", "dogbox" or "lm"; "lm" does not support bounds.
     max_evaluations
-        SciPy's max_nfev, without those of Jacobians; 0 leaves it to SciPy.
+        SciPy's max_nfev, without the evaluations of Jacobians; 0 selects SciPy's default.
     ftol, xtol, gtol
-        As SciPy defines them, of unknowns in units of their typical sizes, and of residuals in
-        units of their norm at the start where that is below 1.
+        Tolerances as SciPy defines them. Unknowns are in units of their typical sizes. Residuals
+        are in units of their norm at the start if that is below 1.
     differences, relative_step
-        Scheme and relative step of the Jacobian; 0 takes the step that suits the solver's noise.
+        Scheme and relative step of the Jacobian; 0 selects the step from the solver's noise.
     """
 
     name: ClassVar[str] = "scipy_least_squares"
@@ -154,9 +154,9 @@ class ScipyLeastSquares(Method):
         bounds: tuple[FloatArray, FloatArray],
     ) -> Any:
         """Run SciPy from a point, and return its result."""
-        from scipy.optimize import least_squares  # slow to import: only a search imports it
+        from scipy.optimize import least_squares  # imported here because the import is slow
 
-        with np.errstate(over="ignore"):  # of a trial step, whose cost is then infinite
+        with np.errstate(over="ignore"):  # a trial step may overflow; its cost is then infinite
             return least_squares(
                 residuals,
                 start,
@@ -172,7 +172,7 @@ class ScipyLeastSquares(Method):
 
 
 class _LastEvaluation:
-    """The last evaluation, so that a Jacobian does not ask for its point again."""
+    """Cache of the last evaluation, so that a Jacobian does not evaluate its point again."""
 
     def __init__(self, space: SearchSpace, ask: Ask) -> None:
         self._space, self._ask = space, ask
@@ -181,15 +181,16 @@ class _LastEvaluation:
         self.progress = Progress(0, np.nan)
         self.steps: FloatArray | None = None
         self.failures = 0
-        """Of trial points, one after the other."""
+        """Number of trial points that failed in a row."""
         self.size = 1.0
-        """A power of two by which SciPy's residuals are divided: its `gtol` is absolute, and would
-        take small ones for a minimum."""
+        """A power of two that divides SciPy's residuals.
+
+        SciPy's `gtol` is absolute, so small residuals would end the search too early."""
         self.frozen = self.frozen_before = np.zeros(space.size, dtype=bool)
 
     @property
     def guessed(self) -> npt.NDArray[np.bool_]:
-        """Unknowns whose derivatives were not known in the last step, or at its end."""
+        """Unknowns without derivatives in one of the last two Jacobians."""
         return self.frozen | self.frozen_before
 
     def evaluation(self, x: FloatArray) -> Evaluation:
@@ -216,7 +217,7 @@ class _LastEvaluation:
 
 
 def _ending(result: Any, cut_short: bool) -> Ending:
-    """Return the ending of a run of SciPy, of which failures may have cut the last steps short."""
+    """Return the ending of a run of SciPy; failures may have cut the last steps short."""
     if result.status <= 0:
         return Ending.MAX_ITERATIONS
     norms = np.linalg.norm(result.jac, axis=0) * np.linalg.norm(result.fun)
@@ -227,5 +228,5 @@ def _ending(result: Any, cut_short: bool) -> Ending:
 
 
 def _tolerance(value: float) -> float | None:
-    """Return a tolerance for SciPy, which switches a criterion off with None."""
+    """Return a tolerance for SciPy; None disables the criterion."""
     return value if value > 0.0 else None

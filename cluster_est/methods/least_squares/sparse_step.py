@@ -1,26 +1,27 @@
 """The damped Gauss-Newton step within bounds, from a Jacobian that is factored part by part.
 
-Unknowns of one part alone are eliminated from its rows by orthogonal factorisations; what remains
-of all parts is solved together for the unknowns that they share, and the others follow by back
-substitution (A. Bjorck, Numerical Methods for Least Squares Problems (1996),
-doi:10.1137/1.9781611971484, section 6.3). Symbols: J the Jacobian, r the residuals, D the scaling,
-p the step, lambda the damping.
+Symbols: J the Jacobian, r the residuals, D the scaling, p the step, lambda the damping.
 
-Bounds are kept by a sequence of such solutions (block principal pivoting): unknowns that leave
-their bounds are fixed there, and fixed ones whose multiplier has the wrong sign are freed, all at
-once as long as that lessens their number, else one at a time, which ends after finitely many rounds
-(J. J. Judice, F. M. Pires, Comput. Oper. Res. 21 (1994) 587-596,
-doi:10.1016/0305-0548(94)90106-6). A round costs the same however many unknowns change, so it suits
-problems of thousands of unknowns.
+Orthogonal factorisations of the rows of a part eliminate the unknowns of this part alone. The
+remaining rows of all parts are solved together for the shared unknowns. The other unknowns follow
+by back substitution (A. Bjorck, Numerical Methods for Least Squares Problems (1996),
+doi:10.1137/1.9781611971484, section 6.3).
 
-Parts may also be chained: segments of a record share the states that one begins with, which stand
-in its own rows and in those of the one before. The rows of a part and what the parts before have
-left are then factorised together, which eliminates the unknowns that stand in no later part; what
-remains is handed on. So work and memory grow linearly with the number of parts, and no normal
-equations are formed, which would square the condition (sequential orthogonal factorisation: G. J.
-Bierman, Factorization Methods for Discrete Sequential Estimation (1977), chapter IV; for multiple
-shooting see H. G. Bock, K. J. Plitt, IFAC Proc. Vol. 17 (1984) 1603-1608,
-doi:10.1016/S1474-6670(17)61205-9).
+A sequence of such solutions keeps the bounds (block principal pivoting). Unknowns outside their
+bounds are fixed at the bounds. Fixed unknowns are freed if their multiplier has the wrong sign.
+All these unknowns change at once while their number decreases, and one at a time otherwise. The
+sequence is finite (J. J. Judice, F. M. Pires, Comput. Oper. Res. 21 (1994) 587-596,
+doi:10.1016/0305-0548(94)90106-6). The cost of a round does not depend on the number of changes, so
+the method suits thousands of unknowns.
+
+Parts may also form a chain, as segments of a record do. The initial states of a segment occur in
+its own rows and in the rows of the previous segment. The rows of a part are factorised together
+with the rows that remain from the previous parts. This eliminates the unknowns that occur in no
+later part, and the remaining rows pass to the next part. Work and memory grow linearly with the
+number of parts. The method avoids normal equations, which square the condition number (sequential
+orthogonal factorisation: G. J. Bierman, Factorization Methods for Discrete Sequential Estimation
+(1977), chapter IV; for multiple shooting see H. G. Bock, K. J. Plitt, IFAC Proc. Vol. 17 (1984)
+1603-1608, doi:10.1016/S1474-6670(17)61205-9).
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from workers.messages import FloatArray, IntArray
 
 ACTIVE_SET_ROUNDS = 60
-"""Rounds after which the last minimum is moved into the bounds instead."""
+"""Largest number of rounds; the last solution is then clipped to the bounds."""
 PATIENCE = 5
 """Rounds without fewer infeasibilities, before one unknown changes at a time."""
 ROUNDING_OF_GRADIENT = 1e-14
-"""Part of the terms of a gradient that is rounding: a component below it has no sign."""
+"""Rounding error of a gradient, relative to its terms; smaller components count as zero."""
 
 Solve = Callable[[npt.NDArray[np.bool_], FloatArray], FloatArray]
 Gradient = Callable[[FloatArray], tuple[FloatArray, float]]
@@ -59,16 +60,19 @@ def within_bounds(
     Parameters
     ----------
     solve
-        From a mask of the fixed unknowns and their values: the minimum over the others.
+        Function of a mask of the fixed unknowns and their values. It returns the minimum over the
+        other unknowns.
     gradient
-        From a point: the gradient there, in units in which curvatures are about 1, and the size of
-        its terms.
+        Function of a point. It returns the gradient, in units in which curvatures are about 1, and
+        the size of its terms.
     lower, upper : (unknowns,)
-        They may be the same.
+        Bounds; they may be equal.
+    rounds
+        Largest number of rounds.
     """
     count = len(lower)
     equal = upper <= lower
-    active = np.where(equal, -1, 0)  # -1 and 1 for the bounds, 0 for between them
+    active = np.where(equal, -1, 0)  # -1: at the lower bound, 1: at the upper bound, 0: free
     fewest, patience = count + 1, PATIENCE
     x = np.zeros(count)
     for _ in range(rounds):
@@ -98,7 +102,7 @@ class FactoredJacobian(ABC):
 
     @abstractmethod
     def products(self, step: FloatArray) -> Iterator[FloatArray]:
-        """Give J p + r, part by part, each multiplied by an orthogonal matrix."""
+        """Yield J p + r part by part, each part multiplied by an orthogonal matrix."""
 
     @abstractmethod
     def solve(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
@@ -107,7 +111,7 @@ class FactoredJacobian(ABC):
         Parameters
         ----------
         fixed, values : (unknowns,)
-            Which unknowns are fixed, and their values.
+            Mask of the fixed unknowns, and their values.
         roots : (unknowns,)
             sqrt(lambda) D.
         """
@@ -118,19 +122,19 @@ class FactoredJacobian(ABC):
 
 
 class Factor(Protocol):
-    """Factors a Jacobian and residuals."""
+    """A function that factors a Jacobian and residuals."""
 
     def __call__(self, matrix: BlockMatrix, residuals: FloatArray) -> FactoredJacobian: ...
 
 
 @final
 class SparseStepSolver:
-    """Minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
+    """Solver that minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
 
     Parameters
     ----------
     factor
-        How J is factored.
+        Function that factors J and r.
     matrix
         J.
     residuals : (residuals,)
@@ -150,14 +154,14 @@ class SparseStepSolver:
         lower: FloatArray,
         upper: FloatArray,
     ) -> None:
-        # powers of two bring the columns to one size and change no digit
+        # powers of two bring the columns to one size without rounding
         self._units = np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)
         self._scale = scale / self._units
         self._lower, self._upper = lower * self._units, upper * self._units
         self._factored = factor(matrix.divided_columns(self._units), residuals)
 
     def step(self, damping: float) -> FloatArray:
-        """Return the step for lambda above 0; it is zero for unknowns without any effect."""
+        """Return the step for lambda above 0; it is zero for unknowns without effect."""
         roots = np.sqrt(damping) * self._scale
 
         def solve(fixed: Mask, values: FloatArray) -> FloatArray:
@@ -178,17 +182,17 @@ class SparseStepSolver:
 def solve_shared(
     shared: IntArray, roots: FloatArray, parts: Iterable[tuple[IntArray, FloatArray]]
 ) -> FloatArray:
-    """Return the shared unknowns, from the rows that the elimination has left; 0 for fixed ones.
+    """Return the shared unknowns from the rows that remain after elimination; 0 for fixed ones.
 
     Parameters
     ----------
     shared
-        Which unknowns these are, in ascending order.
+        Indices of the shared unknowns, in ascending order.
     roots : (unknowns,)
         sqrt(lambda) D.
     parts
-        Shared unknowns of a part, and its rows (k, these + 1), the last column of which holds the
-        residuals.
+        Indices of the shared unknowns of each part, and its remaining rows (k, these + 1). The last
+        column holds the residuals.
     """
     count = len(shared)
     if not count:
@@ -210,14 +214,14 @@ class ChainLink:
     Attributes
     ----------
     columns : (eliminated + handed on + border,)
-        Unknowns: those that no later block has, those that the next one has, then the chain's
-        border.
+        Indices of unknowns: first the unknowns that no later block has, then the unknowns that the
+        next block has, then the border of the chain.
     eliminated, handed
-        How many of each.
+        Number of unknowns in the first and in the second group.
     arrived
-        How many of `eliminated`, at its beginning, the block before has handed on.
+        Number of unknowns from the previous block, at the beginning of the first group.
     triangle : (m, columns + 1)
-        Triangular factor of its Jacobian and residuals.
+        Triangular factor of the block's Jacobian and residuals.
     """
 
     columns: IntArray
@@ -227,20 +231,20 @@ class ChainLink:
     triangle: FloatArray = field(repr=False)
 
     def products(self, step: FloatArray) -> FloatArray:
-        """(m,): J p + r, multiplied by an orthogonal matrix."""
+        """Return J p + r (m,), multiplied by an orthogonal matrix."""
         return np.asarray(self.triangle[:, :-1] @ step[self.columns] + self.triangle[:, -1])
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Blocks that follow each other, and the border: unknowns that are not eliminated along them.
+    """Consecutive blocks, and the border: unknowns that are not eliminated along the chain.
 
     Attributes
     ----------
     links
-        In their order.
+        The blocks, in their order.
     border
-        Unknowns that any of them shares with others.
+        Indices of the border unknowns that occur in the chain.
     """
 
     links: tuple[ChainLink, ...]
@@ -254,11 +258,11 @@ class EliminatedChain:
     Attributes
     ----------
     chain
-        Which one.
+        The chain.
     rows
-        For each link (eliminated, columns + 1): the rows that hold its eliminated unknowns.
+        Rows of each link for its eliminated unknowns, (eliminated, columns + 1).
     rest : (k, border + 1)
-        All information on the border.
+        The remaining rows, which contain only the border and the residuals.
     """
 
     chain: Chain
@@ -266,16 +270,16 @@ class EliminatedChain:
     rest: FloatArray = field(repr=False)
 
     def substitute(self, step: FloatArray, border: FloatArray, right: float) -> None:
-        """Fill in the eliminated unknowns of a step whose border is given.
+        """Set the eliminated unknowns of a step by back substitution.
 
         Parameters
         ----------
         step : (unknowns,)
-            Is filled in.
+            The step, which is modified in place.
         border : (border,)
             Values of the chain's border.
         right
-            1 for the residuals' part of the solution, 0 for the response to the border alone.
+            1 to include the residuals, 0 for the response to the border alone.
         """
         following = np.zeros(0)
         for link, rows in zip(reversed(self.chain.links), reversed(self.rows), strict=True):
@@ -297,7 +301,8 @@ def make_chains(matrix: BlockMatrix, residuals: FloatArray, border: Mask) -> lis
     matrix, residuals
         J and r.
     border : (unknowns,)
-        Unknowns that stay; every other one acts on one block, or on two that follow each other.
+        Mask of the border unknowns. Every other unknown acts on one block, or on two consecutive
+        blocks.
     """
     last = np.full(matrix.size, -1)
     for e, columns in enumerate(matrix.columns):
@@ -327,7 +332,7 @@ def make_chains(matrix: BlockMatrix, residuals: FloatArray, border: Mask) -> lis
 
 
 def _triangle(matrix: BlockMatrix, residuals: FloatArray, e: int, order: IntArray) -> FloatArray:
-    """The triangular factor of a block and its residuals, with its columns in an order."""
+    """Return the triangular factor of a block and its residuals, with the columns in an order."""
     place = np.full(matrix.size, -1)
     place[order] = np.arange(len(order))
     rows = matrix.rows[e]
@@ -338,15 +343,15 @@ def _triangle(matrix: BlockMatrix, residuals: FloatArray, e: int, order: IntArra
 
 
 def eliminate(chain: Chain, fixed: Mask, values: FloatArray, roots: FloatArray) -> EliminatedChain:
-    """Eliminate all but the border, with damping.
+    """Eliminate all unknowns of a chain except the border, with damping.
 
     Parameters
     ----------
     chain
-        Which one.
+        The chain.
     fixed, values : (unknowns,)
-        Unknowns that are not free, and their values: their columns count as zero, and the
-        residuals contain their effect.
+        Mask of the fixed unknowns, and their values. Their columns count as zero, and the residuals
+        contain their effect.
     roots : (unknowns,)
         sqrt(lambda) D.
     """

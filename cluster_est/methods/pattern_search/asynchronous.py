@@ -1,9 +1,9 @@
-"""A pattern search that never waits for the slowest simulation.
+"""A pattern search that does not wait for the slowest simulation.
 
-Every direction of the poll has a step of its own. As soon as a point is better than the centre of
-the poll, the search moves there, and points around the old centre that have not begun are dropped;
-a direction in which a point was no better is tried again with a smaller step, whatever the others
-do. P. D. Hough, T. G. Kolda, V. J. Torczon, Asynchronous parallel pattern search for
+Every direction of the poll has its own step. As soon as a point is better than the centre of the
+poll, the search moves to it. Points around the old centre that have not begun are dropped. If a
+point is not better, its direction is tried again with a smaller step, independently of the other
+directions. P. D. Hough, T. G. Kolda, V. J. Torczon, Asynchronous parallel pattern search for
 nonlinear optimization, SIAM J. Sci. Comput. 23 (2001) 134-156, doi:10.1137/S1064827599365823; with
 one coordinator, T. G. Kolda, SIAM J. Optim. 16 (2005) 563-586, doi:10.1137/040603589.
 """
@@ -34,16 +34,16 @@ NO_DIRECTION = -1
 
 @dataclass
 class RequestedPoint:
-    """A point that was requested and not answered yet.
+    """A point that was requested and is not evaluated yet.
 
     Attributes
     ----------
     u, mesh
         Coordinates, and the length of the step.
     direction
-        Of the present poll, if that direction waits for it, or NONE.
+        Index of the direction of the current poll that waits for this point, or `NO_DIRECTION`.
     overtaken
-        Number of points that were requested later and answered earlier.
+        Number of points that were requested later and evaluated earlier.
     """
 
     u: FloatArray
@@ -53,19 +53,19 @@ class RequestedPoint:
 
 
 class PollState:
-    """The outstanding points and the progress of the poll around the present centre.
+    """The outstanding points and the progress of the poll around the current centre.
 
     Parameters
     ----------
     state, options
-        Of the search.
+        State and options of the search.
     limit
-        Limit of outstanding points.
+        Largest number of outstanding points.
 
     Attributes
     ----------
     ending
-        Of the search, once it has ended.
+        Ending of the search; None before the end.
     progress
         A line of the iteration table.
     """
@@ -84,7 +84,7 @@ class PollState:
         self._begin(options.initial_mesh)
 
     def next_requests(self) -> list[RequestedPoint]:
-        """Return the points to request now; none if it is time to wait, or at the end."""
+        """Return the points to request now; none if the search must wait or has ended."""
         found: list[RequestedPoint] = []
         while self.ending is None:
             while self._free_slots > 0 and (asked := self._next_new()) is not None:
@@ -95,12 +95,12 @@ class PollState:
                 asked.direction != NO_DIRECTION for asked in self._outstanding.values()
             ):
                 break
-            if not self._refine():  # all directions were tried, at points with known evaluations
+            if not self._refine():  # all directions were tried at evaluated points
                 break
         return found
 
     def take_dropped(self) -> tuple[int, ...]:
-        """Return the points to drop; at the end, all that are outstanding."""
+        """Return the indices of points to drop; all outstanding points at the end."""
         if self.ending is not None:
             self._dropped += self._outstanding
             self._outstanding.clear()
@@ -108,7 +108,7 @@ class PollState:
         return found
 
     def receive(self, evaluations: list[Evaluation]) -> None:
-        """Take evaluations, and move, shorten steps, or begin another poll."""
+        """Process evaluations: move, shorten steps, or begin another poll."""
         state = self._state
         numbers = {self._add(evaluation): evaluation.index for evaluation in evaluations}
         meshes = {number: self._outstanding.pop(index).mesh for number, index in numbers.items()}
@@ -128,24 +128,24 @@ class PollState:
             return
         for asked in self._outstanding.values():
             if asked.direction != NO_DIRECTION and asked.overtaken >= self._late:
-                self._shorten(asked.direction)  # its point is slow; its answer still counts
+                self._shorten(asked.direction)  # the point is slow; its evaluation is still used
                 asked.direction = NO_DIRECTION
         self._refine()
 
     @property
     def _late(self) -> int:
-        """A point that so many others have overtaken is slow, and nothing waits for it any more."""
+        """Number of overtaking points after which a point is slow and no direction waits for it."""
         return len(self._state.u)
 
     @property
     def _free_slots(self) -> int:
-        """Number of points that may be requested; slow ones do not count, as they are under way."""
+        """Number of points that may be requested; slow points do not occupy a slot."""
         return self._limit - sum(
             asked.overtaken < self._late for asked in self._outstanding.values()
         )
 
     def _calibrate(self) -> bool:
-        """Choose the penalty and begin again with it; return whether it could be chosen."""
+        """Choose the penalty and begin a new poll; return whether there is a penalty."""
         self._state.calibrate()
         self._begin(self._mesh)
         return self._state.calibrated
@@ -162,10 +162,10 @@ class PollState:
         return self._state.add(asked.u, evaluation)
 
     def _begin(self, mesh: float) -> None:
-        """Begin a poll; drop points of the last one that may not have begun.
+        """Begin a poll; drop points of the last poll that may not have begun.
 
-        Points begin in their order. One that was requested before another that has been answered
-        is under way, and may still turn out to be the best.
+        Simulations begin in the order of requests. A point requested before an evaluated point has
+        begun, so it is kept.
         """
         self._drop([index for index in self._outstanding if index > self._newest])
         for asked in self._outstanding.values():
@@ -178,9 +178,9 @@ class PollState:
         self._sample = deque(self._plan.sample)
 
     def _refine(self) -> bool:
-        """Refine the mesh if every direction has been tried with this one; return whether.
+        """Refine the mesh if every direction was tried with it; return whether it did.
 
-        Before the end all outstanding points must be answered: one could be better.
+        The search ends only after all outstanding points are evaluated, as one could be better.
         """
         largest = float(self._steps.max(initial=0.0))
         if largest >= self._mesh:
@@ -229,7 +229,7 @@ class PollState:
                 return None
 
     def _in_direction(self, direction: int) -> RequestedPoint | None:
-        """Return the point in a direction; None where it was evaluated or its step is too short."""
+        """Return the point in a direction; None if it is evaluated or the step is too short."""
         step = float(self._steps[direction])
         if step < self._state.tolerance:
             return None
@@ -258,20 +258,18 @@ class PollState:
 class AsynchronousPatternSearch(PatternMethod):
     """Pattern search that uses each simulation as soon as it ends.
 
-    For simulations that take very different times, as with adaptive solvers or machines that others
-    use too, and many workers: the slowest holds up nothing. Where all take equally long,
-    `pattern_search` does the same with fewer evaluations. What it finds depends on the order in
-    which simulations end, so a run cannot be repeated exactly. Only before it ends it waits for all
-    that was asked around its last point.
+    Use it with many workers if simulation times differ widely, as with adaptive solvers or shared
+    machines. The search does not wait for the slowest simulation, except for the outstanding points
+    before it ends. If all simulations take equally long, `pattern_search` needs fewer evaluations.
+    The result depends on the order in which simulations end, so a run cannot be repeated exactly.
 
     Attributes
     ----------
     outstanding
-        Number of points that are requested and not answered at any time, slow ones not counted; 0
-        for twice the number of unknowns. Should be more than there are workers: those that wait
-        fill gaps.
+        Number of outstanding points at any time, without slow points; 0 selects twice the number of
+        unknowns. It should exceed the number of workers, so that no worker is idle.
     basis, axes, search_step, search_points, initial_mesh, mesh_tolerance, expansion, contraction
-        As in `pattern_search`, for each direction on its own.
+        As in `pattern_search`, for each direction separately.
     max_iterations
         Limit on the evaluations, in polls of twice the number of unknowns.
     """

@@ -1,13 +1,13 @@
 """An augmented Lagrangian of a cost and its constraints.
 
-For constraints c <= 0 or c = 0, multipliers m and a penalty p it is
+For constraints c <= 0 or c = 0, multipliers m and a penalty p, the augmented Lagrangian is
 
     F + sum(t^2 - m^2) / (2 p),    t = m + p c for an equality, max(0, m + p c) for an inequality,
 
-and its minimum is that of the constrained problem once the multipliers are right, with a penalty
-that stays finite. Minimising it and then taking t for m makes them right: R. M. Lewis, V. Torczon,
-A globally convergent augmented Lagrangian pattern search algorithm, SIAM J. Optim. 12 (2002)
-1075-1089, doi:10.1137/S1052623498339727.
+With correct multipliers and a finite penalty, its minimum is the minimum of the constrained
+problem. The multipliers converge if each minimisation is followed by the update m = t:
+R. M. Lewis, V. Torczon, A globally convergent augmented Lagrangian pattern search algorithm, SIAM
+J. Optim. 12 (2002) 1075-1089, doi:10.1137/S1052623498339727.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from cluster_est.methods.method import TOLERANCE
 from workers.messages import FloatArray
 
 INEQUALITY_MARGIN = 0.5 * TOLERANCE
-"""Inequalities are tightened by this, because minima are approached from outside."""
+"""Amount by which inequalities are tightened, because iterates approach minima from outside."""
 NEGLIGIBLE_VIOLATION = 0.5 * TOLERANCE
 LARGEST_REMAINDER = 0.25
-"""Part of the error that may remain after a minimisation, or the penalty grows."""
+"""Part of the error that may remain after a minimisation; otherwise the penalty grows."""
 PENALTY_FACTOR = 8.0
 FIRST_PENALTY = 30.0
 
@@ -38,13 +38,13 @@ class AugmentedLagrangian:
     equality : (constraints,)
         True for constraints that must be 0.
     margins : (constraints,)
-        By which the others are tightened.
+        Amounts by which inequalities are tightened.
     multipliers : (constraints,)
-        In units of the cost.
+        Multipliers, in units of the cost.
     penalty
-        In units of the cost.
+        Penalty, in units of the cost.
     error
-        Of the constraints and multipliers, see `constraint_error`, at the last update.
+        Error of constraints and multipliers at the last update, see `constraint_error`.
     """
 
     equality: npt.NDArray[np.bool_]
@@ -59,7 +59,7 @@ class AugmentedLagrangian:
         return np.where(self.equality, found, np.maximum(found, 0.0))
 
     def values(self, costs: FloatArray, constraints: FloatArray) -> FloatArray:
-        """Return the values (points,) of costs (points,) and constraints (points, constraints)."""
+        """Return values (points,) from costs (points,) and constraints (points, constraints)."""
         if not len(self.equality):
             return costs
         with np.errstate(over="ignore", invalid="ignore"):
@@ -68,12 +68,12 @@ class AugmentedLagrangian:
         return np.where(np.isnan(found), np.inf, found)
 
     def constraint_error(self, constraints: FloatArray) -> float:
-        """Return the largest |t - m| / p: a violation, or the slack where m is not 0."""
+        """Return the largest |t - m| / p: a violation, or the slack if m is not 0."""
         change = np.abs(self.shifted(constraints) - self.multipliers)
         return float(change.max(initial=0.0)) / self.penalty
 
     def updated(self, constraints: FloatArray) -> AugmentedLagrangian:
-        """Return it with the multipliers t, and a larger penalty if the error hardly fell."""
+        """Return it with the multipliers t; increase the penalty if the error hardly decreased."""
         error = self.constraint_error(constraints)
         new = replace(self, multipliers=self.shifted(constraints), error=error)
         return (
@@ -88,14 +88,14 @@ class AugmentedLagrangian:
 
 
 def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> AugmentedLagrangian:
-    """Return one without multipliers, and with a penalty that is to be replaced.
+    """Return an augmented Lagrangian with multipliers 0 and a preliminary penalty of 1.
 
     Parameters
     ----------
     equality : (constraints,)
         True for constraints that must be 0.
     on_parameters
-        Number of them, at the front, that are satisfied by other means.
+        Number of constraints on parameters, which come first and have no margin.
     """
     margins = np.where(equality, 0.0, INEQUALITY_MARGIN)
     margins[:on_parameters] = 0.0
@@ -103,14 +103,14 @@ def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> Aug
 
 
 def first_penalty(costs: FloatArray, constraints: FloatArray) -> float:
-    """Return a penalty that suits how much costs and constraints differ from the first point's.
+    """Return a penalty from the differences of costs and constraints from the first point's.
 
     Parameters
     ----------
     costs : (points,)
-        Finite.
+        Finite costs.
     constraints : (points, constraints)
-        Finite.
+        Finite values of the constraints.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         cost_change = float(np.median(np.abs(costs[1:] - costs[0]))) if len(costs) > 1 else 0.0

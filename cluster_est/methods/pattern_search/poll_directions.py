@@ -1,9 +1,9 @@
-"""Directions that a pattern search polls: some direction of any half-space is among them.
+"""Poll directions of a pattern search, which contain a direction in every half-space.
 
-Near bounds and constraints they must generate the feasible directions, or a poll may fail where a
-step along the boundary would not: R. M. Lewis, A. Shepherd, V. Torczon, Implementing
-generating set search methods for linearly constrained minimization, SIAM J. Sci. Comput. 29 (2007)
-2507-2530.
+Near bounds and constraints they must generate the cone of feasible directions. Otherwise a poll may
+fail although a step along the boundary lowers the cost: R. M. Lewis, A. Shepherd, V. Torczon,
+Implementing generating set search methods for linearly constrained minimization, SIAM J. Sci.
+Comput. 29 (2007) 2507-2530.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ def reflection(vector: FloatArray) -> FloatArray:
 
 
 def aligned_axes(progress: FloatArray) -> FloatArray:
-    """Return orthonormal rows, the first along a vector up to its sign; the coordinates if it is 0.
+    """Return orthonormal rows, the first along a vector up to its sign.
 
-    The idea of H. H. Rosenbrock, An automatic method for finding the greatest or least value of a
-    function, Comput. J. 3 (1960) 175-184, doi:10.1093/comjnl/3.3.175, with one reflection.
+    The rows are the coordinate axes if the vector is 0. The axes follow H. H. Rosenbrock, An
+    automatic method for finding the greatest or least value of a function, Comput. J. 3 (1960)
+    175-184, doi:10.1093/comjnl/3.3.175, but with one reflection.
     """
     length = float(np.linalg.norm(progress))
     if length == 0.0:
@@ -61,11 +62,10 @@ def directions(axes: FloatArray, basis: Basis, normals: NearbyNormals) -> FloatA
     axes : (unknowns, unknowns)
         Orthonormal rows.
     basis
-        "2n" goes both ways along each axis, "n+1" to the vertices of a simplex. Near bounds or
-        constraints the directions are always those of "2n": both ways along them, and along
-        their normals.
+        "2n" has both directions of each axis, "n+1" the vertices of a simplex. Near bounds or
+        constraints, directions are always along them and along their normals, both ways.
     normals
-        Of bounds and constraints within a mesh.
+        Normals of the bounds and constraints within one mesh.
     """
     if len(normals.inequalities) + len(normals.equalities) == 0:
         return np.concatenate([axes, -axes]) if basis == "2n" else simplex(len(axes)) @ axes
@@ -80,7 +80,7 @@ def directions(axes: FloatArray, basis: Basis, normals: NearbyNormals) -> FloatA
 
 
 def _independent(vectors: FloatArray) -> FloatArray:
-    """Return orthonormal vectors of the same span, close to the longest of the given ones."""
+    """Return orthonormal vectors of the same span, close to the longest of the vectors."""
     if not vectors.any():
         return vectors[:0]
     found, triangle, _ = qr(vectors.T, mode="economic", pivoting=True)
@@ -109,7 +109,7 @@ SearchStep = Literal["none", "latin_hypercube", "quadratic"]
 
 @dataclass(frozen=True)
 class PatternMethod(Method):
-    """A pattern search; `PatternSearch` says what the options mean."""
+    """Base class of pattern searches; `PatternSearch` documents the options."""
 
     needs_residuals: ClassVar[bool] = False
     needs_every_residual: ClassVar[bool] = False

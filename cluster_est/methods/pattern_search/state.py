@@ -1,8 +1,8 @@
 """The state of a pattern search, and the points that its next poll may request.
 
-Besides the poll's directions it asks for the minimum of quadratic models of the cost and its
-constraints, through points that were evaluated anyway. Of all quadratics through too few points the
-one with the least second derivatives (in the Frobenius norm) is taken: A. L. Custodio, H. Rocha,
+Besides the poll's directions, a poll may request minima of quadratic models of the cost and its
+constraints. The models interpolate evaluated points. If there are too few points, the model with
+the least second derivatives (in the Frobenius norm) is used: A. L. Custodio, H. Rocha,
 L. N. Vicente, Incorporating minimum Frobenius norm models in direct search, Comput. Optim. Appl. 46
 (2010) 265-278, doi:10.1007/s10589-009-9283-0.
 """
@@ -32,11 +32,11 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
 ROUNDING_OF_POINTS = 2.0**-40
-"""Points that agree to this, in units of a noticeable change, are the same."""
+"""Distance within which points count as equal, in units of a noticeable change."""
 
 
 class EvaluatedPoints:
-    """Points in the coordinates of a `ScaledCoordinates`, numbered in the order in which they came.
+    """Evaluated points in the coordinates of a `ScaledCoordinates`, numbered in their order.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ class EvaluatedPoints:
 
     @property
     def costs(self) -> FloatArray:
-        """(points,); infinite where a simulation failed."""
+        """Costs (points,); infinite if a simulation failed."""
         return self._costs[: self._count]
 
     @property
     def constraints(self) -> FloatArray:
-        """(points, constraints); infinite where one has no value."""
+        """Constraints (points, constraints); infinite if a value is undefined."""
         return self._constraints[: self._count]
 
     def __contains__(self, u: FloatArray) -> bool:
@@ -93,11 +93,11 @@ class EvaluatedPoints:
 
     @property
     def finite(self) -> npt.NDArray[np.bool_]:
-        """(points,): True where cost and constraints have values."""
+        """True for points with finite cost and constraints, (points,)."""
         return np.isfinite(self.costs) & np.isfinite(self.constraints).all(axis=1)
 
     def quantities(self, numbers: IntArray) -> FloatArray:
-        """Return (numbers, 1 + constraints): the costs of some points, then their constraints."""
+        """Return costs and then constraints of some points, (numbers, 1 + constraints)."""
         return np.column_stack([self.costs[numbers], self.constraints[numbers]])
 
     def violation(self, number: int, equality: npt.NDArray[np.bool_]) -> float:
@@ -113,17 +113,17 @@ class EvaluatedPoints:
 
 
 def key(u: FloatArray) -> bytes:
-    """Return a key that is the same for points that count as the same."""
+    """Return a key that is the same for points that count as equal."""
     return (np.rint(u / ROUNDING_OF_POINTS) + 0.0).tobytes()
 
 
 CURVATURE_WEIGHT = 1e-5
-"""Weight of second derivatives against errors at the points."""
+"""Weight of the second derivatives relative to the errors at the points."""
 
 
 @dataclass(frozen=True)
 class QuadraticModel:
-    """Values v + g s + s H s / 2 of some functions, the cost first and then the constraints.
+    """Quadratic models v + g s + s H s / 2 of the cost and then of the constraints.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class QuadraticModel:
     hessians: FloatArray
 
     def predicted(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (steps,) costs and (steps, constraints) after some steps (steps, unknowns)."""
+        """Return costs (steps,) and constraints (steps, constraints) at steps (steps, unknowns)."""
         h_s = np.einsum("qij,kj->kqi", self.hessians, steps)
         values = self.values + steps @ self.gradients.T + 0.5 * np.einsum("kqi,ki->kq", h_s, steps)
         return values[:, 0], values[:, 1:]
@@ -148,8 +148,8 @@ class QuadraticModel:
     def minimum(
         self, lagrangian: AugmentedLagrangian, lower: FloatArray, upper: FloatArray
     ) -> FloatArray:
-        """Return the step s within bounds at which the model's augmented Lagrangian is least."""
-        from scipy.optimize import minimize  # slow to import: only a search imports it
+        """Return the step s within bounds that minimises the model's augmented Lagrangian."""
+        from scipy.optimize import minimize  # imported here because the import is slow
 
         start = float(lagrangian.values(self.values[0], self.values[1:]))
         gradient = self.gradients[0] + lagrangian.shifted(self.values[1:]) @ self.gradients[1:]
@@ -177,20 +177,20 @@ class QuadraticModel:
 
 
 def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> QuadraticModel:
-    """Return the model that interpolates `base` and, as far as it can, the other points.
+    """Return the model that interpolates `base` and fits the other points as well as possible.
 
     Parameters
     ----------
     base : (functions,)
         Values at s = 0.
     steps : (points, unknowns)
-        Of order 1.
+        Steps to the other points, of order 1.
     changes : (points, functions)
-        Values there, less those at s = 0.
+        Values at the steps minus the values at s = 0.
     """
     size = steps.shape[1]
     rows, columns = np.triu_indices(size)
-    # a coefficient's square is its part of the Frobenius norm
+    # the square of a coefficient is its part of the squared Frobenius norm
     factors = np.where(rows == columns, 0.5, np.sqrt(0.5))
     design = np.concatenate([steps, steps[:, rows] * steps[:, columns] * factors], axis=1)
     # the error of a quadratic grows with the third power of the distance
@@ -208,17 +208,17 @@ def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> Quadr
 
 
 MODEL_RADIUS = 4.0
-"""The model interpolates points within so many meshes."""
+"""Largest distance of the points of a model, in meshes."""
 MODEL_STEPS = (1.0, 3.0)
-"""Bounds, in meshes, within which the minima of a model are requested."""
+"""Bounds of the minima of a model, in meshes."""
 HYPERCUBE_RADIUS = 4.0
-"""Meshes from the best point to the sides of the Latin hypercube."""
+"""Distance from the centre of the poll to the sides of the Latin hypercube, in meshes."""
 FINER, COARSER = 0.1, 2.0
-"""Factors of the tolerance with new multipliers, and of the mesh to start again with."""
+"""Factor of the tolerance after an update of the multipliers; first mesh over the old tolerance."""
 DIVERGED = 10.0
-"""Violation over that of the start from which on the penalty is too small."""
+"""Violation relative to the start's above which the penalty is too small."""
 LARGEST_PENALTY = 1e12
-"""Times the first one."""
+"""Largest penalty, relative to the first penalty."""
 
 
 @dataclass(frozen=True)
@@ -228,15 +228,15 @@ class PollPlan:
     Attributes
     ----------
     promising : (points, unknowns)
-        Along the last step, and the minima of a model.
+        A point along the last step, and the minima of a model.
     directions : (directions, unknowns)
-        Of the poll, of unit length, in the order of a model's values.
+        Directions of the poll, of unit length, in the order of a model's values.
     sample : (points, unknowns)
-        Of a Latin hypercube.
+        Points of a Latin hypercube.
     model_step
-        Meshes to the nearer of the model's minima; infinite without a model.
+        Distance of the model's minimum within one mesh, in meshes; infinite without a model.
     constraint_jacobian : (constraints on parameters, unknowns)
-        For `PatternState.new`.
+        Jacobian of the constraints on parameters, for `PatternState.new`.
     """
 
     promising: FloatArray
@@ -252,17 +252,17 @@ class PatternState:
     Parameters
     ----------
     space, options, generator
-        Of the search.
+        Space, options and random number generator of the search.
     at
         The evaluation of the start.
 
     Attributes
     ----------
     best, best_u
-        The best evaluation by rank, and its point; the centre of the poll is the point whose
-        augmented Lagrangian is least.
+        The best evaluation by rank, and its point. The centre of the poll may differ: it has the
+        least augmented Lagrangian.
     tolerance
-        The mesh below which `at_tolerance` decides what follows.
+        Call `at_tolerance` if the mesh is below this.
     """
 
     def __init__(
@@ -316,7 +316,7 @@ class PatternState:
         return float(np.abs(self._last_step).max())
 
     def poll_failed(self) -> None:
-        """Rotate the axes and drop the last step, after a poll without a better point."""
+        """Rotate the axes and discard the last step, after a poll without a better point."""
         self._last_step = np.zeros_like(self._last_step)
         progress = self.u - self._last_failure
         self._last_failure = self.u.copy()
@@ -327,7 +327,7 @@ class PatternState:
 
     @property
     def feasible_point_suffices(self) -> bool:
-        """True if there is nothing to minimise and the constraints are satisfied."""
+        """True if there is no cost to minimise and the constraints are satisfied."""
         return self.best.feasible and not len(self.best.residuals)
 
     @property
@@ -336,7 +336,7 @@ class PatternState:
         return not len(self._lagrangian.equality) or bool(np.isfinite(self._first_penalty))
 
     def calibrate(self) -> None:
-        """Choose the penalty, once some points around the start are evaluated."""
+        """Choose the penalty from the evaluated points, if it is not chosen yet."""
         if self.calibrated:
             return
         finite = self.evaluated.finite
@@ -347,7 +347,7 @@ class PatternState:
             self._take_best()
 
     def at_tolerance(self) -> tuple[Ending | None, float]:
-        """Return an ending, or a new mesh, once the mesh is as fine as `tolerance`."""
+        """Return an ending, or None and a new mesh; call it if the mesh is below `tolerance`."""
         finest = self._options.mesh_tolerance
         lagrangian, constraints = self._lagrangian, self.evaluated.constraints[self._centre]
         if (
@@ -377,7 +377,7 @@ class PatternState:
             values = self._lagrangian.values(*model.predicted(steps))
             steps = steps[np.argsort(values, kind="stable")]
         if not self.coordinates.is_feasible(self.u):
-            promising.append(self.u)  # which is projected
+            promising.append(self.u)  # `new` projects it
         return PollPlan(
             self.new(promising, jacobian),
             steps,
@@ -424,7 +424,7 @@ class PatternState:
         if self._options.search_step != "quadratic" or not self.evaluated.finite[self._centre]:
             return None
         size = len(self.u)
-        needed = (size + 1) * (size + 2) // 2  # by a quadratic
+        needed = (size + 1) * (size + 2) // 2  # coefficients of a quadratic
         chosen = self.evaluated.near(self.u, MODEL_RADIUS * mesh, needed * 3 // 2)
         if len(chosen) < size:
             return None

@@ -1,8 +1,8 @@
 """A pattern search with complete polls: all points of an iteration are one request.
 
-Around the best point, points at a distance of one mesh in each direction of a pattern are polled.
-The search moves to the best of them and takes a coarser mesh, or, if none is better, a finer one.
-It needs no derivatives, and some direction is always one of descent where there are any.
+A poll evaluates points around the best point, one mesh away in each direction of a pattern. If one
+of them is better, the search moves to the best and coarsens the mesh. Otherwise it refines the
+mesh. It needs no derivatives. If descent directions exist, the pattern contains one of them.
 
 References: V. Torczon, On the convergence of pattern search algorithms, SIAM J. Optim. 7 (1997)
 1-25, doi:10.1137/S1052623493250780; T. G. Kolda, R. M. Lewis, V. Torczon, Optimization by direct
@@ -24,47 +24,47 @@ from cluster_est.methods.pattern_search.state import PatternState, PollPlan
 from cluster_est.problem.search_space import SearchSpace
 
 NEAR_MINIMUM = 0.1
-"""Distance of a model's minimum, in meshes, below which the mesh is contracted twice at once."""
+"""Distance of a model's minimum, in meshes, below which the mesh is contracted twice."""
 FULL_STEP = 0.99
-"""Length of a step, in meshes, from which on it counts as one of the pattern."""
+"""Least length of a step of the pattern, in meshes."""
 
 
 @dataclass(frozen=True)
 class PatternSearch(PatternMethod):
     """Generalised pattern search with complete polls.
 
-    For costs that have no derivatives: with noise, with jumps, with simulations that fail here and
-    there, of any kind (it looks at the cost, not at residuals). It keeps bounds, constraints on
-    parameters, which cost no simulation, and constraints on signals, also equalities. Not for a
-    smooth sum of squares, where `least_squares` needs a tenth of the evaluations; not where
-    simulations take very different times, for which there is `asynchronous_pattern_search`. It
-    finds the minimum that the start leads to; a coarse initial mesh skips shallow ones.
+    Use it for costs without derivatives: with noise, jumps, or occasional failed simulations. It
+    uses the cost only, not residuals. It supports bounds, constraints on parameters (without
+    simulations), and constraints on signals, including equalities. For a smooth sum of squares,
+    `least_squares` needs a tenth of the evaluations. If simulation times differ widely, use
+    `asynchronous_pattern_search`. It finds one local minimum, which depends on the start. A coarse
+    initial mesh skips shallow minima.
 
     Attributes
     ----------
     basis
-        "2n" polls both ways along each axis, "n+1" towards the corners of a simplex: about half
-        of the evaluations, and less reliable where the cost has edges. Next to bounds and
-        constraints on parameters the directions always follow these, both ways.
+        "2n" polls both directions of each axis. "n+1" polls towards the corners of a simplex, with
+        about half the evaluations, and is less reliable at edges of the cost. Near bounds and
+        constraints on parameters, polls always use directions along them, both ways.
     axes
-        "aligned": the first axis along the progress since the last poll that failed, and the
-        coordinates where there was none; follows narrow valleys. "coordinates": always those; for
-        parameters that act independently of each other. "random": others after each poll that
-        failed, from the seed; to try where the search ends too early at an edge.
+        "aligned": the first axis is along the progress since the last failed poll; follows narrow
+        valleys. Without progress the axes are the coordinates. "coordinates": always the
+        coordinates, for independent parameters. "random": new random axes after each failed poll,
+        from the seed. Try "random" if the search ends too early at an edge.
     search_step
-        Further points in the same request as the poll: "quadratic", the minima of a model
-        through the points polled nearby, which makes the search much faster wherever the cost is
-        anything like smooth, and costs two points; "latin_hypercube", points scattered around the
-        best, against shallow minima; "none".
+        Further points in the same request as the poll. "quadratic": two minima of a quadratic model
+        through nearby points; much faster if the cost is nearly smooth. "latin_hypercube": points
+        scattered around the best point, to escape from shallow minima. "none": no further points.
     search_points
-        Number of points of a Latin hypercube; 0 for as many as there are unknowns.
+        Number of points of a Latin hypercube; 0 selects the number of unknowns.
     initial_mesh
-        The first mesh, in noticeable changes: of the start value itself, of 1 in a logarithm, of
-        the range of the bounds if that is less, or of a tenth of it where the start is 0.
+        The first mesh, in noticeable changes. A noticeable change is the start value itself, or 1
+        in a logarithm, but at most the range of the bounds. If the start is 0, it is a tenth of
+        this range.
     mesh_tolerance
         Converged when a poll fails with a mesh finer than this.
     expansion, contraction
-        By what the mesh is multiplied after a step of the pattern, and after a poll that failed.
+        Factors of the mesh after a step of the pattern, and after a failed poll.
     max_iterations
         Limit on the number of polls.
     """
@@ -116,7 +116,7 @@ def mesh_after_step(options: PatternMethod, mesh: float, length: float) -> float
 
 
 def contracted(options: PatternMethod, mesh: float, plan: PollPlan) -> float:
-    """Return the mesh after a poll that failed."""
+    """Return the mesh after a failed poll."""
     finer = options.contraction * mesh
     return options.contraction * finer if plan.model_step < NEAR_MINIMUM else finer
 

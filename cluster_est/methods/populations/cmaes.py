@@ -1,9 +1,9 @@
-"""Covariance matrix adaptation, by `cma`, the package that pymoo's own wrapper calls.
+"""Covariance matrix adaptation, with the package `cma`.
 
 N. Hansen, A. Ostermeier, Evol. Comput. 9 (2001) 159-195, doi:10.1162/106365601750190398.
 
-The wrapper is left out: it seeds numpy's global generator, and takes every exception for the end
-of the search.
+pymoo's wrapper of `cma` is not used: it seeds numpy's global generator, and treats every exception
+as the end of the search.
 """
 
 from __future__ import annotations
@@ -28,28 +28,29 @@ from cluster_est.methods.populations.population_method import (
 from workers.messages import FloatArray
 
 DEGENERATE = {"conditioncov", "noeffectaxis", "noeffectcoord", "tolupsigma"}
-"""Names in `cma` of distributions that are degenerate to rounding."""
+"""Termination criteria of `cma` for numerically degenerate distributions."""
 
 
 @dataclass(frozen=True)
 class Cmaes(PopulationMethod):
-    """Samples a normal distribution whose centre, size and shape follow the better points.
+    """Evolution strategy that samples a normal distribution and adapts it to the better points.
 
-    The population to try first for one broad minimum under noise or jumps, where derivatives are no
-    use: it learns how unknowns depend on each other, and needs a small population. It begins at the
-    start, so for several minima use several starts. Bounds may be missing.
+    Among the population methods, try it first for one broad minimum with noise or jumps, where
+    derivatives are useless. It adapts to dependencies between unknowns, and needs a small
+    population. It begins at the start, so use several starts for several minima. Bounds are not
+    necessary.
 
-    Only the order of points counts, constraints before cost.
+    It uses only the order of points: constraints first, then cost.
 
     Attributes
     ----------
     population, max_generations, xtol, ftol, window
-        Of every `PopulationMethod`. The usual population is 8 + 6 ln(unknowns) points, at least 16:
-        at least twice what `cma` takes by itself, which is caught in local minima more often. Raise
-        it where there is noise. The start comes on top once.
+        As in every `PopulationMethod`. The default population is 8 + 6 ln(unknowns) points, at
+        least 16. This is at least twice the default of `cma`, which ends in local minima more
+        often. Raise it for noisy simulations. The first generation also contains the start.
     sigma
-        Standard deviation of the first generation, in units of the range between the bounds; where
-        an unknown lacks one, in units of the size of its start. Lower it to stay near the start.
+        Standard deviation of the first generation, in units of the range between the bounds. If a
+        bound is missing, it is in units of the size of the start. Lower it to stay near the start.
     """
 
     name: ClassVar[str] = "cmaes"
@@ -70,7 +71,7 @@ class Cmaes(PopulationMethod):
 
 
 class _EvolutionStrategy(PopulationStrategy):
-    """The evolution strategy of `cma`, without its files, output, seeds and tolerances."""
+    """The evolution strategy of `cma`, with random numbers from a generator and no output."""
 
     def __init__(
         self, box: UnitBox, sigma: float, size: int, generator: np.random.Generator
@@ -84,7 +85,7 @@ class _EvolutionStrategy(PopulationStrategy):
             "maxiter": np.inf,
         }
         if box.space.size == 1:
-            options["maxstd"] = np.inf  # of a single unknown, its own limit would raise
+            options["maxstd"] = np.inf  # the default limit raises an error with a single unknown
         with _quiet():
             cma = importlib.import_module("cma")
             self._strategy: Any = cma.CMAEvolutionStrategy(box.start, sigma, options)
@@ -118,7 +119,7 @@ class _EvolutionStrategy(PopulationStrategy):
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress the warnings of `cma`, nor the filter for warnings that it adds."""
+    """Suppress the warnings of `cma`, and undo its changes of the warning filters."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

@@ -1,4 +1,4 @@
-"""NSGA-II, by pymoo: several objectives kept apart.
+"""NSGA-II for several objectives, with the algorithm of pymoo.
 
 K. Deb, A. Pratap, S. Agarwal, T. Meyarivan, IEEE Trans. Evol. Comput. 6 (2002) 182-197,
 doi:10.1109/4235.996017.
@@ -30,30 +30,30 @@ Kind = Literal["outputs", "experiments"]
 
 @dataclass(frozen=True)
 class Nsga2(PymooMethod):
-    """Looks for all compromises between objectives: the points that nothing beats in all of them.
+    """Multi-objective search for the Pareto front: the points that no other point dominates.
 
-    To see what a better fit of one output, or one experiment, costs the others, before weights are
-    chosen; and whether they contradict each other at all. For a single answer minimise the sum of
-    costs with another method. With more than about four objectives hardly any point beats another,
-    and the search loses its direction.
+    Use it before you choose weights. It shows how a better fit of one output or experiment worsens
+    the fit of the others, and whether the objectives are in conflict. For a single solution,
+    minimise the sum of costs with another method. With more than about four objectives hardly any
+    point dominates another, and the search makes no progress.
 
-    The solution is the point of least cost of all, which is the compromise that the other methods
-    look for; all that nothing beats are its `others`, those of least cost first.
+    The solution is the point of least total cost, as in the other methods. Its `others` are all
+    points of the Pareto front, least cost first.
 
     Attributes
     ----------
     objectives
-        The parts with a cost of their own: each output variable over all experiments ("outputs"),
-        or each experiment with all its outputs ("experiments").
+        The parts with a separate cost: each output variable over all experiments ("outputs"), or
+        each experiment with all its outputs ("experiments").
     population, max_generations
-        Of every `PopulationMethod`. The usual population is 100 points; there can be as many
-        compromises.
+        As in every `PopulationMethod`. The default population is 100 points, which is also the
+        largest size of the front.
     xtol
-        Likewise: converged when all compromises have become one.
+        As in every `PopulationMethod`: converged when all points of the front are equal.
     ftol, window
-        Converged when, on average, the compromises of now are ahead of those of `window`
-        generations ago by no more than `ftol` of the gap between neighbours. That is never much
-        below 0.2, because the gaps are filled at random.
+        Converged when the front has moved, on average, by at most `ftol` of the gap between
+        neighbours in `window` generations. This movement is never much below 0.2, because the
+        gaps are filled at random.
     crossover_eta, mutation_eta
         As in `ga`.
     """
@@ -111,7 +111,7 @@ class Nsga2(PymooMethod):
 
 
 class ParetoFront(PopulationGoal):
-    """The non-dominated members, until they hardly move any more."""
+    """The Pareto front of the members; settled if it hardly moves."""
 
     def __init__(self, space: SearchSpace, kind: Kind, ftol: float, window: int) -> None:
         self._space, self._kind, self._ftol, self._window = space, kind, ftol, window
@@ -159,13 +159,13 @@ class ParetoFront(PopulationGoal):
 
 
 def _measured(space: SearchSpace) -> list[bool]:
-    """Return, for each experiment, whether it has residuals; it may have constraints only."""
+    """Return whether each experiment has residuals; it may have constraints only."""
     chosen = [space.problem.experiments[e] for e in space.experiments]
     return [bool(e.size or e.cost_function) for e in chosen]
 
 
 def _non_dominated(members: Sequence[PopulationMember]) -> list[PopulationMember]:
-    """Return the feasible, non-dominated members, once where several are alike."""
+    """Return the feasible, non-dominated members without duplicates."""
     allowed = [member for member in members if member.violation == 0.0]
     if not allowed:
         return []
@@ -176,12 +176,12 @@ def _non_dominated(members: Sequence[PopulationMember]) -> list[PopulationMember
 
 
 def _progress(before: FloatArray, now: FloatArray) -> float:
-    """Return the mean distance from a front to a later one, in units of the latter's gaps.
+    """Return the mean distance from a front to a later front, in units of the later front's gaps.
 
-    A point of `now` is ahead by as much as it takes until some point of `before` is as good in all
-    objectives, in units of their ranges: the additive epsilon indicator of E. Zitzler, L. Thiele,
-    M. Laumanns, C. Fonseca, V. da Fonseca, IEEE Trans. Evol. Comput. 7 (2003) 117-132,
-    doi:10.1109/TEVC.2003.810758, for one point at a time.
+    The distance of a point of `now` is the least shift after which a point of `before` is as good
+    in all objectives. The unit of each objective is its range. This is the additive epsilon
+    indicator of E. Zitzler, L. Thiele, M. Laumanns, C. Fonseca, V. da Fonseca, IEEE Trans. Evol.
+    Comput. 7 (2003) 117-132, doi:10.1109/TEVC.2003.810758, for one point at a time.
     """
     ranges = np.ptp(np.vstack([before, now]), axis=0)
     shifts = (before[:, None] - now[None]) / np.where(ranges > 0.0, ranges, 1.0)

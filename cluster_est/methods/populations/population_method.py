@@ -1,9 +1,8 @@
-"""Populations as methods: a whole generation is one request.
+"""Methods with populations: each generation is one request.
 
-A `PopulationStrategy` chooses the next generation; most of them are from pymoo. How members compare
-and what a strategy aims at, the best point so far, the lines of the table and the end of the search
-are decided here. Points are compared by the rules that hold for all methods: constraints first,
-then cost.
+A `PopulationStrategy` chooses the next generation; most strategies are from pymoo. This module
+compares members, keeps the best point, writes the lines of the table and ends the search. Points
+are compared as in all methods: constraints first, then cost.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from cluster_est.toml import dotted
 from workers.messages import FloatArray
 
 LARGEST_COST = 1e300
-"""Costs and violations are cut to this, to stay finite."""
+"""Largest finite cost and violation; larger values are clipped to it."""
 COST_OF_FAILURE = 1e301
 """Cost and violation of a failed simulation: worse than any other, and finite, as pymoo needs."""
 
@@ -47,13 +46,13 @@ class PopulationMember:
     Attributes
     ----------
     unit, x : (unknowns,)
-        In the strategy's coordinates and in those of the search.
+        The point in the strategy's coordinates, and in search coordinates.
     cost
-        Of the point.
+        Cost of the point.
     values : (objectives,)
-        Minimised by the strategy.
+        Objectives that the strategy minimises.
     violation
-        0 where all constraints are satisfied.
+        Violation of the constraints; 0 if all are satisfied.
     """
 
     unit: FloatArray
@@ -64,7 +63,7 @@ class PopulationMember:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Less is better, in the order of `Evaluation.rank`."""
+        """Sort key, best first, as in `Evaluation.rank`."""
         return self.violation, self.cost
 
 
@@ -78,36 +77,37 @@ def member_of(
         )
     values = np.fmax(
         np.fmin(goal.values(evaluation), LARGEST_COST), -LARGEST_COST
-    )  # NaN counts as LARGEST
+    )  # NaN becomes LARGEST_COST
     violation = min(evaluation.rank[0], LARGEST_COST)
     return PopulationMember(unit, x, evaluation.cost, values, violation)
 
 
 class PopulationStrategy(ABC):
-    """An algorithm that chooses a generation from those before it."""
+    """An algorithm that chooses a generation from the previous generations."""
 
     @abstractmethod
     def ask(self) -> FloatArray:
-        """Return the next generation (points, unknowns); no points if it can make no new ones."""
+        """Return the next generation (points, unknowns); no points if there are no new points."""
 
     @abstractmethod
     def tell(self, numbers: range, members: Sequence[PopulationMember]) -> None:
-        """Take the members of the generation, whose points have these numbers."""
+        """Process the members of the generation; `numbers` are the numbers of their points."""
 
     @abstractmethod
     def bounds(self) -> FloatArray:
-        """Return costs (points,) above which points of the generation asked for do not survive.
+        """Return costs (points,) above which points of the current generation do not survive.
 
-        Infinite where that depends on the other points. Only without constraints.
+        A cost is infinite if survival depends on other new points. Call it only without
+        constraints.
         """
 
     @abstractmethod
     def survivors(self) -> list[int]:
-        """Return the numbers of the points that make up the population now."""
+        """Return the numbers of the points in the current population."""
 
 
 class PopulationGoal(ABC):
-    """The objectives of a population, and when it has reached them."""
+    """The objectives of a population, and the criterion for the end of the search."""
 
     objectives: int
 
@@ -117,7 +117,7 @@ class PopulationGoal(ABC):
 
     @abstractmethod
     def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
-        """Return whether the last generations brought no progress; called once after each."""
+        """Return whether the last generations made no progress; call it once per generation."""
 
     @abstractmethod
     def others(
@@ -127,7 +127,7 @@ class PopulationGoal(ABC):
 
 
 class LeastCost(PopulationGoal):
-    """The least cost, until it falls by less than `ftol` of itself in `window` generations."""
+    """The least cost; settled if it falls by at most `ftol` of itself in `window` generations."""
 
     objectives = 1
 
@@ -158,15 +158,15 @@ class LeastCost(PopulationGoal):
 class UnitBox:
     """The coordinates of a strategy.
 
-    The bounds of an unknown become 0 and 1. Where it lacks one, 0 is its start and 1 is as far
-    from that as its typical size.
+    The bounds of an unknown become 0 and 1. If a bound is missing, 0 is the start and 1 is the
+    start plus the typical size.
     """
 
     space: SearchSpace
 
     @cached_property
     def bounded(self) -> npt.NDArray[np.bool_]:
-        """(unknowns,): True where both bounds are finite."""
+        """True for unknowns with two finite bounds, (unknowns,)."""
         return np.isfinite(self.space.lower) & np.isfinite(self.space.upper)
 
     @cached_property
@@ -194,7 +194,7 @@ class UnitBox:
         return np.asarray((x - self._origin) / self._scale, np.float64)
 
     def points(self, units: FloatArray) -> FloatArray:
-        """Return points in search coordinates, within bounds; the start as it was given."""
+        """Return points in search coordinates, within bounds; the start is exact."""
         x = np.where(units == self.start, self.space.start, self._origin + units * self._scale)
         return np.clip(x, self.space.lower, self.space.upper)
 
@@ -211,18 +211,19 @@ class UnitBox:
 
 @dataclass(frozen=True)
 class PopulationMethod(Method):
-    """A method that moves many points at a time, a generation for each request.
+    """Base class of methods that move many points at a time, one generation per request.
 
-    The first generation is spread between the bounds, so every unknown must have both: a guessed
-    box would decide what can be found. `cmaes` spreads around the start instead, and needs none.
+    The first generation is spread between the bounds, so every unknown must have two bounds.
+    `cmaes` samples around the start instead, and needs no bounds.
 
     Attributes
     ----------
     population
-        Points of a generation, all simulated at once. More of them search more widely and keep
-        more workers busy, but each generation costs more. 0 takes the method's own rule.
+        Number of points of a generation, which are all simulated at once. A larger population
+        searches more widely and keeps more workers busy, but each generation costs more. 0 selects
+        the method's default.
     max_generations
-        Limit on their number.
+        Largest number of generations.
     xtol
         Converged when all points of the population lie this close together in every unknown, in
         units of the range between its bounds.
@@ -235,11 +236,11 @@ class PopulationMethod(Method):
     needs_every_residual: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = True
     keeps_equality: ClassVar[bool] = False
-    """True if it can satisfy a constraint that must be 0."""
+    """True if the method supports equality constraints."""
     needs_bounds: ClassVar[bool] = True
     least_population: ClassVar[int] = 5
     early_end = False
-    """True if simulations may end once their points cannot survive; an option of some methods."""
+    """True if a simulation may end as soon as its point cannot survive; some methods' option."""
 
     population: int = field(default=0, metadata={"least": 0})
     max_generations: int = field(default=500, metadata={"least": 1})
@@ -272,7 +273,7 @@ class PopulationMethod(Method):
 
     @abstractmethod
     def usual_population(self, unknowns: int) -> int:
-        """Return the number of points of a generation where `population` is 0."""
+        """Return the number of points of a generation if `population` is 0."""
 
     @abstractmethod
     def strategy(
@@ -281,8 +282,8 @@ class PopulationMethod(Method):
         """Return the strategy that chooses generations of this size."""
 
     def goal(self, space: SearchSpace) -> PopulationGoal:
-        """Return the goal: the least cost, unless a method says otherwise."""
-        del space  # of use to methods with several objectives
+        """Return the goal; the default is the least cost."""
+        del space  # used by methods with several objectives
         return LeastCost(self.ftol, self.window)
 
 
@@ -297,7 +298,7 @@ def _unbounded(method: str, unknown: Unknown) -> str:
 
 
 def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Generator) -> Search:
-    """Ask for one generation after the other until a method's tolerances or limit end it."""
+    """Request generations until the method's tolerances or its limit end the search."""
     box, goal = UnitBox(space), method.goal(space)
     size = method.population or method.usual_population(space.size)
     strategy = method.strategy(box, size, goal, generator)
@@ -334,7 +335,7 @@ def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Ge
 
 @dataclass(frozen=True)
 class _BestSoFar:
-    """The best point of all generations, which a population may have lost."""
+    """The best point of all generations; the current population may not contain it."""
 
     member: PopulationMember
     at: Evaluation
@@ -345,7 +346,7 @@ def _better(
     new_members: Sequence[PopulationMember],
     evaluations: Sequence[Evaluation],
 ) -> _BestSoFar | None:
-    """Return the best of a generation and all before; None while all have failed."""
+    """Return the best point so far; None if all points have failed."""
     for member, evaluation in zip(new_members, evaluations, strict=True):
         if member.violation < COST_OF_FAILURE and (best is None or member.rank < best.member.rank):
             best = _BestSoFar(member, evaluation)
@@ -353,7 +354,7 @@ def _better(
 
 
 def _spread(members: Sequence[PopulationMember]) -> float:
-    """Return the width of a population in the unknown where it is widest."""
+    """Return the largest width of a population in any unknown."""
     units = np.array([member.unit for member in members])
     return float(np.max(np.ptp(units, axis=0), initial=0.0))
 
@@ -361,7 +362,7 @@ def _spread(members: Sequence[PopulationMember]) -> float:
 def _ending(
     method: PopulationMethod, progress: Progress, settled: bool, exhausted: bool
 ) -> tuple[Ending, str] | None:
-    """Return the ending of a search and its message, if it has ended."""
+    """Return the ending of a search and its message; None if it goes on."""
     if progress.step <= method.xtol:
         return Ending.CONVERGED, "converged: the population has contracted to within xtol"
     if settled:

@@ -1,8 +1,8 @@
-"""Evolutionary methods for one objective, by pymoo: its algorithms are asked for points and told.
+"""Evolutionary methods for one objective, with algorithms of pymoo.
 
 J. Blank, K. Deb, IEEE Access 8 (2020) 89497-89509, doi:10.1109/ACCESS.2020.2990567.
 
-pymoo takes long to import, so only a search imports it.
+The import of pymoo is slow, so it is imported only for a search.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ Rivals = Literal["member", "worst"] | None
 
 
 class PymooStrategy(PopulationStrategy):
-    """An algorithm of pymoo whose random numbers all come from a generator.
+    """An algorithm of pymoo that takes all random numbers from one generator.
 
-    Where there are constraints, their violation is pymoo's only constraint, so that it ranks points
-    as all methods do.
+    With constraints, their violation is pymoo's only constraint. So pymoo ranks points as all
+    methods do.
 
     Parameters
     ----------
     method
-        Whose algorithm it is.
+        The method that provides the algorithm.
     box, size, goal, generator
         As in `PopulationMethod.strategy`.
     """
@@ -53,7 +53,7 @@ class PymooStrategy(PopulationStrategy):
         from pymoo.core.problem import Problem
         from pymoo.core.termination import NoTermination
 
-        Config.warnings["not_compiled"] = False  # it would be printed
+        Config.warnings["not_compiled"] = False  # pymoo would print this warning
         unknowns = box.space.size
         self._constrained = bool(box.space.constraint_names)
         problem = Problem(
@@ -65,7 +65,7 @@ class PymooStrategy(PopulationStrategy):
         )
         first = box.first_generation(size, generator)
         kind, options = method.algorithm(size)
-        # as a seed, a generator is used as it is
+        # pymoo uses a generator that is given as a seed
         self._algorithm = kind(sampling=first, seed=generator, **options)
         self._algorithm.setup(problem, termination=NoTermination())
         if getattr(self._algorithm, "survival", None) is not None:
@@ -98,9 +98,10 @@ class PymooStrategy(PopulationStrategy):
 
 
 class _SeededSurvival:
-    """A choice of survivors with random numbers from a generator; pymoo's takes the system's.
+    """A selection of survivors with random numbers from a generator.
 
-    That would make the stochastic ranking of `isres` different each time.
+    By default pymoo seeds it from the system, so the stochastic ranking of `isres` would not be
+    reproducible.
     """
 
     def __init__(self, survival: Any, generator: np.random.Generator) -> None:
@@ -112,17 +113,19 @@ class _SeededSurvival:
 
 @dataclass(frozen=True)
 class PymooMethod(PopulationMethod):
-    """A population that an algorithm of pymoo moves."""
+    """Base class of population methods with an algorithm of pymoo."""
 
     rivals: ClassVar[Rivals] = None
-    """Whom a new point must be better than to survive: the one member in whose place it would come,
-    or the worst of the population; None where it depends on other new points."""
+    """The member that a new point must beat to survive.
+
+    "member" is the member that the point would replace, "worst" the worst of the population. None
+    if survival depends on other new points."""
 
     @abstractmethod
     def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
-        """Return the class of the algorithm, and what it is made with for generations of a size.
+        """Return the class of the algorithm, and its arguments for generations of a size.
 
-        Besides its first generation and seed.
+        The arguments exclude the first generation and the seed.
         """
 
     @override
@@ -134,32 +137,32 @@ class PymooMethod(PopulationMethod):
 
 @dataclass(frozen=True)
 class DifferentialEvolution(PymooMethod):
-    """Each point steps by the difference of two others, and stays where that does not help.
+    """Differential evolution: points step by the difference of two others if that lowers the cost.
 
-    The population to try first where several minima are likely and all unknowns have bounds. It
-    keeps inequality constraints, unless only a sliver between the bounds satisfies them. It needs
-    thousands of simulations: with a single minimum `least_squares` needs a hundredth of them.
+    Among the population methods, try it first if several minima are likely and all unknowns have
+    bounds. It supports inequality constraints, unless the feasible region is very small. It needs
+    thousands of simulations. For a single minimum, `least_squares` needs a hundredth of them.
 
     R. Storn, K. Price, J. Global Optim. 11 (1997) 341-359, doi:10.1023/A:1008202821328.
 
     Attributes
     ----------
     population, max_generations, xtol, ftol, window
-        Of every `PopulationMethod`. The usual population is 10 points per unknown, at least 30:
-        with fewer, the differences soon take only few values. Between several minima the best cost
-        may stand still for long, so the window is wide.
+        As in every `PopulationMethod`. The default population is 10 points per unknown, at least
+        30: a smaller population soon has too few different differences. The window is wide, because
+        with several minima the best cost may stay constant for a long time.
     base
-        The point where steps begin: "rand" at any point of the population, which searches most
-        widely; "best" at its best point, which is faster and more easily caught in a local minimum.
+        The point at which steps begin. "rand": any point of the population; the widest search.
+        "best": the best point; faster, but ends in a local minimum more often.
     weight
-        Of the differences. Raise it if the population shrinks too early.
+        Factor of the differences. Raise it if the population shrinks too early.
     crossover
         Part of the unknowns that move in a step. Lower it (0.2) if unknowns act independently.
     early_end
-        End the simulation of a point as soon as the part of its cost that is known is above what
-        it would have to be below to stay in the population. The result is the same, bit for bit;
-        where simulations take seconds, half of their time may be saved. It takes effect with the
-        sum of squares and without constraints and effects.
+        End the simulation of a point as soon as the known part of its cost is too large to stay in
+        the population. The result is the same, bit for bit. If simulations take seconds, this may
+        save half of their time. It takes effect with the sum of squares and without constraints and
+        effects.
     """
 
     name: ClassVar[str] = "de"
@@ -190,11 +193,11 @@ class DifferentialEvolution(PymooMethod):
 
 @dataclass(frozen=True)
 class GeneticAlgorithm(PymooMethod):
-    """The fittest of parents and children live on; children mix two parents and mutate.
+    """Genetic algorithm: children combine two parents and mutate; the best points survive.
 
-    For costs that jump, or where good values of single unknowns can be combined. It finds the
-    region of a minimum but few digits of it: go on from there with another method. Where `de`
-    works, it needs fewer simulations.
+    Use it for costs with jumps, or if good values of single unknowns can be combined. It locates
+    the region of a minimum with low accuracy; continue with another method. If `de` works, `de`
+    needs fewer simulations.
 
     Simulated binary crossover of K. Deb, R. B. Agrawal, Complex Systems 9 (1995) 115-148, and
     polynomial mutation; constraints by the rules of K. Deb, Comput. Methods Appl. Mech. Engrg. 186
@@ -203,16 +206,17 @@ class GeneticAlgorithm(PymooMethod):
     Attributes
     ----------
     population, max_generations, window
-        Of every `PopulationMethod`. The usual population is 10 points per unknown, at least 50.
+        As in every `PopulationMethod`. The default population is 10 points per unknown, at least
+        50.
     xtol, ftol
-        Likewise, but a population of kin draws together long before it is at a minimum, from where
-        mutations still lead on. So nearness counts only where `xtol` is raised from 0, and a cost
-        that hardly falls ends the search sooner.
+        As in every `PopulationMethod`, with other defaults. The population contracts long before
+        it is at a minimum, and mutations still improve it then. So the default of `xtol` is 0,
+        which disables this criterion in practice. The larger `ftol` ends the search sooner.
     crossover_eta, mutation_eta
-        Resemblance of children to their parents, and of a mutated value to the one before: more
-        with larger numbers, so that the search is finer and less wide.
+        Similarity of children to their parents, and of a mutated value to the previous value.
+        Larger numbers make the search finer and narrower.
     crossover_probability
-        Part of the pairs of parents that mix.
+        Part of the pairs of parents that are combined.
     early_end
         As in `de`.
     """
@@ -246,11 +250,11 @@ class GeneticAlgorithm(PymooMethod):
 
 @dataclass(frozen=True)
 class Isres(PymooMethod):
-    """An evolution strategy that now and then prefers a low cost to satisfied constraints.
+    """Evolution strategy that sometimes prefers a low cost to satisfied constraints.
 
-    For minima on nonlinear constraints, above all where the region that satisfies them is narrow
-    or in pieces; the only population here that keeps equalities. Without constraints `de` and
-    `cmaes` need fewer simulations.
+    Use it for minima on nonlinear constraints, especially if the feasible region is narrow or
+    disconnected. It is the only population method that supports equalities. Without constraints
+    `de` and `cmaes` need fewer simulations.
 
     T. P. Runarsson, X. Yao, IEEE Trans. SMC C 35 (2005) 233-243, doi:10.1109/TSMCC.2004.841906,
     with the ranking of T. P. Runarsson, X. Yao, IEEE Trans. Evol. Comput. 4 (2000) 284-294,
@@ -259,15 +263,16 @@ class Isres(PymooMethod):
     Attributes
     ----------
     population, max_generations, xtol, ftol, window
-        Of every `PopulationMethod`. The usual population is 20 (unknowns + 1) points; every seventh
-        becomes a parent. The best may be lost for a while, so the window is wide.
+        As in every `PopulationMethod`. The default population is 20 (unknowns + 1) points; every
+        seventh becomes a parent. The window is wide, because the best point may be lost for some
+        generations.
     ranking
-        Probability that two points are ranked by cost although one violates a constraint. Above
-        0.5 the constraints would lose. At 0 they always come first.
+        Probability that two points are ranked by cost although one violates a constraint. At 0,
+        constraints always come first. Above 0.5, the cost dominates.
     gamma
         Length of the steps along the differences of the best points.
     alpha
-        Rate of change of the step lengths: 0.2 smooths out chance.
+        Rate of change of the step lengths: 0.2 smooths random variations.
     """
 
     name: ClassVar[str] = "isres"
@@ -297,10 +302,10 @@ class Isres(PymooMethod):
 
 @dataclass(frozen=True)
 class ParticleSwarm(PymooMethod):
-    """Points fly on, drawn to the best point of their own and of all.
+    """Particle swarm: points move towards their own best point and the best point of all.
 
-    For a look over a wide region with a small population. Its last digits come slowly: `de` and
-    `cmaes` draw together faster.
+    Use it to explore a wide region with a small population. It converges slowly near a minimum;
+    `de` and `cmaes` converge faster.
 
     J. Kennedy, R. Eberhart, Proc. ICNN (1995) 1942-1948, doi:10.1109/ICNN.1995.488968, with the
     weights of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) 58-73,
@@ -310,17 +315,19 @@ class ParticleSwarm(PymooMethod):
     Attributes
     ----------
     population, max_generations, xtol, ftol, window
-        Of every `PopulationMethod`. The usual population is 5 points per unknown, at least 25. It
-        is made up of each particle's best point, which rarely come as close together as `xtol`.
+        As in every `PopulationMethod`. The default population is 5 points per unknown, at least 25.
+        The population consists of each particle's best point. These points are rarely as close
+        together as `xtol`.
     inertia, own, social
-        Part of its velocity that a particle keeps, and how strongly its own best point and that of
-        the swarm draw it. Below 0.73, 1.5, 1.5 the swarm settles sooner, above it may never.
+        Part of its velocity that a particle keeps, and weights of its own best point and of the
+        swarm's best point. Below 0.73, 1.5, 1.5 the swarm converges sooner; above, it may never
+        converge.
     adaptive
-        Change those three with the state of the swarm, beginning with 0.9, 2, 2. It comes to the
-        last digits in fewer generations and is more often caught in a local minimum.
+        Adapt inertia, own and social to the state of the swarm, beginning with 0.9, 2, 2. The
+        search needs fewer generations near a minimum, but ends in a local minimum more often.
     speed
-        Limit of the velocity: the part of the range between the bounds that one generation may
-        cross.
+        Largest velocity: the part of the range between the bounds that a particle may cross in one
+        generation.
     early_end
         As in `de`.
     """

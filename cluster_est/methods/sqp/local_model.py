@@ -1,38 +1,39 @@
-"""The local model of an SQP around its current point, and the best step from there.
+"""The local model of an SQP around its current point, and the best step of the model.
 
-The cost is modelled to second order, the constraints to first. The step minimises this model of the
-cost plus a penalty on violated constraints, within the bounds and a box around the point, the trust
-region. Three things make the model: the Hessian, the linearisations and the penalty.
+The model of the cost is of second order, the model of the constraints of first order. The step
+minimises the modelled cost plus a penalty on violated constraints. It stays within the bounds and
+the trust region, a box around the point. The model consists of a Hessian, linearisations and a
+penalty.
 
-Hessian: two approximations compete, neither of which needs further evaluations. Gauss-Newton's
-matrix of the cost, 2 J'WJ, is right where residuals are small and constraints straight. A
-quasi-Newton matrix is that one, or else a multiple of the identity, updated by the
-change of the gradient along each of the last steps: it takes up what large residuals and curved
-constraints add. Whichever predicted the last steps better makes the next one, as in J. E. Dennis,
-D. M. Gay, R. E. Welsch, ACM TOMS 7 (1981) 348-368, doi:10.1145/355958.355965. Updates are those of
-Broyden, Fletcher, Goldfarb and Shanno, damped so that the matrix stays positive definite
-(J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), procedure 18.2,
-doi:10.1007/978-0-387-40065-5). The symbols are theirs: B the matrix, s a step, y the change of the
-Lagrangian's gradient along it.
+Hessian: there are two approximations, and neither needs further evaluations. The Gauss-Newton
+matrix of the cost, 2 J'WJ, is accurate for small residuals and nearly linear constraints. The
+quasi-Newton matrix starts from the Gauss-Newton matrix, if it exists, or from a multiple of the
+identity. Updates add the change of the gradient along each of the last steps. They represent the
+curvature due to large residuals and curved constraints. The approximation that predicted the last
+steps better is used, as in J. E. Dennis, D. M. Gay, R. E. Welsch, ACM TOMS 7 (1981) 348-368,
+doi:10.1145/355958.355965. The updates are damped BFGS updates, which keep the matrix positive
+definite (J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), procedure 18.2,
+doi:10.1007/978-0-387-40065-5). Symbols as there: B is the matrix, s a step, y the change of the
+Lagrangian's gradient along the step.
 
-Linearisations: the largest deviation of a signal over time, or the farthest of many points, follows
-one time or point as the unknowns change, until another takes over. There it has a kink, and the
-best point is often on the kink. A linearisation from one side shows one of the smooth functions
-only: every step along it violates the other one, is rejected, and the trust region shrinks to
-nothing although the cost decreases along the kink. So, once a step was rejected in this way, the
-derivatives at its end are asked for, too. They show the other function. From then on the constraint
-counts as the largest of its linearisations here and at the last points around, as the cutting
-planes of bundle methods do (K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization,
-Lecture Notes in Mathematics 1133 (1985), doi:10.1007/BFb0074500). Before a kink was met only those
-of the point itself count, because old linearisations of smooth, curved constraints may cut off
-points that satisfy them.
+Linearisations: a constraint may be a maximum over time or over points. It has a kink at each change
+of the maximising time or point, and the best point is often on the kink. A linearisation from one
+side represents only one of the smooth functions. Steps along it violate the other function and are
+rejected, so the trust region shrinks although the cost decreases along the kink. After such a
+rejected step, the derivatives at its end are computed, too. They represent the other function. From
+then on, the constraint is the maximum of its linearisations at this point and at recent points
+nearby, like the cutting planes of bundle methods (K. C. Kiwiel, Methods of Descent for
+Nondifferentiable Optimization, Lecture Notes in Mathematics 1133 (1985), doi:10.1007/BFb0074500).
+Before the first kink only the linearisations at the point itself are used, because old
+linearisations of smooth, curved constraints may exclude feasible points.
 
-Penalty: in the exact l1 merit function, merit = cost + penalty * sum of the violations, a penalty
-above all multipliers makes a solution of the constrained problem a minimum of the merit. One far
-above makes a search creep along curved constraints, and trust linearised constraints where they are
-wrong. So it starts low and grows, tenfold at a time, only while a step would not reduce the
-linearised violation although the model could: the weakest form of the steering rule of R. H. Byrd,
-J. Nocedal, R. A. Waltz, Optim. Methods Softw. 23 (2008) 197-213, doi:10.1080/10556780701394169.
+Penalty: the exact l1 merit function is merit = cost + penalty * sum of the violations. If the
+penalty exceeds all multipliers, a solution of the constrained problem is a minimum of the merit. A
+far larger penalty forces short steps along curved constraints, and too much weight on inaccurate
+linearisations. So the penalty starts low. It grows tenfold while a step would not reduce the
+linearised violation although the model allows a reduction. This is the weakest form of the steering
+rule of R. H. Byrd, J. Nocedal, R. A. Waltz, Optim. Methods Softw. 23 (2008) 197-213,
+doi:10.1080/10556780701394169.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ from workers.messages import FloatArray
 
 Hessian = Literal["auto", "gauss_newton", "quasi_newton"]
 QUASI_NEWTON_MEMORY = 30
-"""Steps that the updates are made of."""
+"""Largest number of steps in the quasi-Newton updates."""
 ERROR_DECAY = 0.5
 """Factor of the older prediction errors at each step."""
 RIDGE = 1e-12
@@ -69,7 +70,7 @@ class HessianApproximations:
 
     @property
     def matrix(self) -> FloatArray:
-        """The better approximation at the last point: positive semidefinite, (n, n)."""
+        """The better approximation at the last point, (n, n), positive semidefinite."""
         return self._matrices[self._better]
 
     @property
@@ -90,7 +91,7 @@ class HessianApproximations:
         x, derivatives
             The point and its derivatives.
         multipliers : (constraints,)
-            Of the Lagrangian, as far as they are known.
+            Estimated multipliers of the Lagrangian.
         sizes : (n,)
             A noticeable change of each unknown.
         """
@@ -113,9 +114,9 @@ class HessianApproximations:
         Parameters
         ----------
         step : (n,)
-            From the last point.
+            Step from the last point.
         linear, actual
-            The change of the Lagrangian that its gradient alone predicts, and the actual one.
+            Change of the Lagrangian predicted by its gradient alone, and its actual change.
         """
         if len(self._matrices) < 2 or not np.isfinite(actual):
             return
@@ -127,7 +128,7 @@ class HessianApproximations:
     def _pairs(self, multipliers: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return the steps s, and the changes y of the Lagrangian's gradient along them.
 
-        A derivative that is known at one end alone has no change.
+        Steps between points with different frozen unknowns are left out.
         """
         pairs = []
         for (x, before), (x_after, after) in pairwise(self._iterates):
@@ -141,7 +142,10 @@ class HessianApproximations:
 def _scaled_identity(
     pairs: list[tuple[FloatArray, FloatArray]], gradient: FloatArray, sizes: FloatArray
 ) -> FloatArray:
-    """Return the identity in units of `sizes`, times y'y / s'y of the last step."""
+    """Return the identity in units of `sizes`, times y'y / s'y of the last step.
+
+    Without a step of positive curvature the factor is the largest scaled gradient component.
+    """
     curvature = max(float(np.abs(sizes * gradient).max(initial=0.0)), 1e-300)
     if pairs:
         s, y = pairs[-1][0] / sizes, pairs[-1][1] * sizes
@@ -151,7 +155,7 @@ def _scaled_identity(
 
 
 def _bfgs(matrix: FloatArray, pairs: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """Return the matrix after damped updates, from the oldest step to the latest."""
+    """Return the matrix after damped BFGS updates, from the oldest step to the latest."""
     for s, y in pairs:
         b_s = matrix @ s
         s_b_s, s_y = float(s @ b_s), float(s @ y)
@@ -166,10 +170,11 @@ def _bfgs(matrix: FloatArray, pairs: list[tuple[FloatArray, FloatArray]]) -> Flo
 
 
 LARGEST_DISTANCE = 10.0
-"""Linearisations from farther away than this many trust radii do not count."""
+"""Largest distance of a usable linearisation, in trust radii."""
 JUMP = 10.0
-"""A constraint that changes this many times more than its derivatives allow is discontinuous: no
-linearisation of it helps."""
+"""Excess of a constraint over its linearisation, relative to the linear change, that is a jump.
+
+Linearisations of a discontinuous constraint are of no use."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +187,7 @@ class ConstraintLinearisation:
 
 
 class LinearisationHistory:
-    """The latest linearisations of a search; none of them counts before a kink was met."""
+    """The latest linearisations of a search; it stores none until `active` is True."""
 
     def __init__(self, equality: npt.NDArray[np.bool_], most: int) -> None:
         self._inequalities = np.flatnonzero(~equality).astype(np.intp)
@@ -191,7 +196,7 @@ class LinearisationHistory:
         self.active = False
 
     def add(self, linearisation: ConstraintLinearisation) -> None:
-        """Keep a linearisation, and drop the oldest beyond the largest number."""
+        """Store a linearisation, and drop the oldest beyond the largest number."""
         if self.active and len(self._inequalities):
             self._linearisations = [*self._linearisations, linearisation][-self._most :]
 
@@ -200,13 +205,13 @@ class LinearisationHistory:
     ) -> QuadraticSubproblem:
         """Return the model around a point, with the linearisations at other points near it.
 
-        None of them may exceed the constraint's value at the point itself, which is the largest of
-        all functions there: where that of a curved one does, it is lowered.
+        The value of a constraint at `x` is the maximum of its smooth functions there. So a
+        linearisation with a larger value at `x` is lowered to this value.
 
         Parameters
         ----------
         model
-            Its first rows are all constraints at `x`, in their order.
+            The model, whose first rows are all constraints at `x`, in their order.
         x : (n,)
             The point.
         radii : (n,)
@@ -229,23 +234,23 @@ class LinearisationHistory:
 
 
 def is_jump(before: ConstraintLinearisation, step: FloatArray, after: FloatArray) -> bool:
-    """Return whether constraints rose more along a step than a kink explains."""
+    """Return whether a constraint increased more along a step than a kink explains."""
     excess = after - before.values - before.jacobian @ step
     allowed = JUMP * (np.abs(before.jacobian) @ np.abs(step))
     return bool((excess > allowed + 1e-12).any())
 
 
 INITIAL = 0.01
-"""The first penalty, in units of the cost or of its largest change by one unknown."""
+"""The first penalty, relative to the cost or to its largest change by one unknown."""
 LEAST_REDUCTION = 0.1
-"""Part of the possible reduction of the violation that every step must predict."""
+"""Least predicted reduction of the violation by a step, as a part of the possible reduction."""
 MOST_INCREASES = 12
-"""Limit of tenfold increases for one step."""
+"""Largest number of tenfold increases for one step."""
 NEGLIGIBLE_LINEAR_VIOLATION = 1e-3 * TOLERANCE
 
 
 class PenaltyParameter:
-    """The current penalty; `equality` says which constraints must be 0."""
+    """The current penalty of the merit function; `equality` marks equality constraints."""
 
     def __init__(self, equality: npt.NDArray[np.bool_]) -> None:
         self._equality = equality
@@ -263,7 +268,7 @@ class PenaltyParameter:
         return float(np.add.reduce(sizes))
 
     def merit(self, at: Evaluation) -> float:
-        """Return the merit; infinite where a simulation failed."""
+        """Return the merit; infinite if the cost or a constraint is undefined."""
         return at.cost + self.value * self.violations(at) if is_defined(at) else np.inf
 
     def predicted_reduction(
@@ -280,7 +285,7 @@ class PenaltyParameter:
         Parameters
         ----------
         model, lower, upper
-            The model around the point, and the bounds of the step.
+            Model around the point, and bounds of the step.
         sizes : (n,)
             A noticeable change of each unknown.
         """
@@ -306,24 +311,23 @@ class PenaltyParameter:
 
 
 NEAREST_POINT_CURVATURE = 1e-4
-"""The curvature that takes the place of the cost's where nothing is to be minimised: of all points
-that satisfy the constraints, the nearest."""
+"""Curvature of the model if there is no cost; the step then leads to the nearest feasible point."""
 
 
 @dataclass(frozen=True)
 class ModelStep:
-    """A step, and the model's prediction for it.
+    """A step and its predicted reduction of the merit.
 
     Attributes
     ----------
     vector : (n,)
-        The change of the point.
+        Change of the point.
     model
-        The model that it minimises.
+        The model that the step minimises.
     multipliers : (constraints,)
-        Of the constraints in the model.
+        Multipliers of the constraints in the model.
     predicted_reduction
-        Of the merit.
+        Predicted reduction of the merit.
     """
 
     vector: FloatArray
@@ -333,16 +337,16 @@ class ModelStep:
 
 
 class SqpLocalModel:
-    """The local model of one iterate after the other; `move_to` comes before all else.
+    """The local model around the current iterate; call `move_to` before all other methods.
 
     Parameters
     ----------
     space
-        The space that is searched.
+        The search space.
     hessian
         The approximation of the Hessian; see `Sqp`.
     feasibility_only
-        True if there is nothing to minimise.
+        True if there is no cost to minimise.
     """
 
     def __init__(self, space: SearchSpace, hessian: Hessian, feasibility_only: bool) -> None:
@@ -358,13 +362,13 @@ class SqpLocalModel:
         self._at: Evaluation
         self.derivatives: CostDerivatives
         self.along_walls = False
-        """Whether steps stay clear of sides on which simulations fail."""
+        """Whether steps avoid the sides on which simulations fail."""
         self.penalty = PenaltyParameter(self._equality)
 
     def move_to(
         self, x: FloatArray, at: Evaluation, derivatives: CostDerivatives, multipliers: FloatArray
     ) -> None:
-        """Build the model around a point; `multipliers` are those of the step to it."""
+        """Build the model around a point; `multipliers` are the multipliers of the step to it."""
         if not self.is_at(x):
             self._history.add(self._linearisation)
         self._linearisation = ConstraintLinearisation(
@@ -390,10 +394,10 @@ class SqpLocalModel:
         return ModelStep(vector, model, multipliers, reduction)
 
     def corrected(self, step: ModelStep, after: Evaluation, radius: float) -> FloatArray:
-        """Return the step with the same Jacobian but the constraints' values `after` the trial.
+        """Return the step with a second-order correction for curved constraints.
 
-        The second-order correction for curved constraints, which a step along their tangents
-        violates (R. Fletcher, section 14.4, as in sqp.py).
+        It uses the same Jacobian, and the constraints' values `after` the trial
+        (R. Fletcher, section 14.4, as in sqp.py).
         """
         values = step.model.values.copy()
         values[: len(self._equality)] = (
@@ -412,17 +416,14 @@ class SqpLocalModel:
         self._hessian.compare(step.vector, linear_change, after.cost - self._at.cost + curved)
 
     def has_kink(self, step: ModelStep, after: Evaluation) -> bool:
-        """Return whether a kink of a constraint may explain the violation after a step.
-
-        A discontinuous constraint has no linearisation that helps.
-        """
+        """Return whether a kink of a constraint, rather than a jump, may explain a violation."""
         jump = is_jump(self._linearisation, step.vector, after.constraints)
         return not (self._equality.all() or jump)
 
     def add_linearisation(
         self, x: FloatArray, at: Evaluation, derivatives: CostDerivatives
     ) -> None:
-        """Add the linearisation of the constraints at another point; from now on all count."""
+        """Add the linearisation of the constraints at another point, and activate the history."""
         self._history.active = True
         if not derivatives.frozen.any():
             self._history.add(
@@ -448,7 +449,7 @@ class SqpLocalModel:
         return self._history.extend(model, self._linearisation.x, radius * self._sizes)
 
     def _step_bounds(self, radius: float) -> tuple[FloatArray, FloatArray]:
-        """Return bounds of the step by the trust region and the bounds; 0 for frozen unknowns."""
+        """Return bounds of the step from the trust region and the space; 0 for frozen unknowns."""
         radii = np.where(self.derivatives.frozen, 0.0, radius * self._sizes)
         lower = np.maximum(-radii, self._space.lower - self._linearisation.x)
         upper = np.minimum(radii, self._space.upper - self._linearisation.x)

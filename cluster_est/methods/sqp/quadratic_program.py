@@ -2,16 +2,16 @@
 
     minimise   g'p + p'Bp / 2 + nu sum_i v_i(p)    subject to    lower <= p <= upper
 
-where v_i is the violation of constraint i: max(0, c_i + a_i p), or |c_i + a_i p| for an equality,
-or the largest of several such terms. Because violations are penalised rather than forbidden, it has
-a solution also where the linearised constraints contradict each other; where they do not and nu is
-large enough, the solution satisfies them exactly (R. Fletcher, Practical Methods of Optimization,
-2nd ed. (1987), section 14.3).
+v_i is the violation of constraint i: max(0, c_i + a_i p), or |c_i + a_i p| for an equality, or the
+largest of several such terms. Because violations are penalised, the program has a solution even if
+the linearised constraints are inconsistent. If they are consistent and nu is large enough, the
+solution satisfies them exactly (R. Fletcher, Practical Methods of Optimization, 2nd ed. (1987),
+section 14.3).
 
-It is solved by PIQP, a proximal interior-point method (R. Schwan, Y. Jiang, D. Kuhn, C. N. Jones,
-2023, doi:10.48550/arXiv.2304.00290): some 15 factorisations of a matrix as large as there are
-unknowns and constraints, however many of them are active, and whether or not the Hessian is
-singular or constraints repeat each other.
+PIQP solves the program by a proximal interior-point method (R. Schwan, Y. Jiang, D. Kuhn,
+C. N. Jones, 2023, doi:10.48550/arXiv.2304.00290). It takes about 15 factorisations of a matrix as
+large as the number of unknowns and constraints. The number does not depend on the active
+constraints. The Hessian may be singular, and constraints may be redundant.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ from workers.messages import FloatArray
 MAX_STEPS = 100
 ACCURACY = 1e-14
 LEAST_REGULARISATION = 1e-13, 1e-15
-"""Usually, and where no step is exact any more: with PIQP's own, thousand times as large, twice as
-many random programs end short of their minimum."""
+"""Least regularisation of PIQP in normal operation, and in its final refinement.
+
+With PIQP's own limits, a thousand times as large, twice as many random programs end short of their
+minimum."""
 FLATTEST = 1e-8
-"""A row that changes by a smaller part of its value within the bounds counts as a constant."""
+"""A row that changes by a smaller part of its value within the bounds counts as constant."""
 
 Box = tuple[FloatArray, FloatArray]
 """Lower and upper bounds."""
@@ -38,18 +40,18 @@ Box = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class QuadraticSubproblem:
-    """The program around a point: the cost to second order, constraints to first.
+    """The program around a point: cost to second order, constraints to first order.
 
     Attributes
     ----------
     gradient, hessian : (n,), (n, n)
-        g and B, the latter positive semidefinite.
+        g and B; B is positive semidefinite.
     values, jacobian : (rows,), (rows, n)
         c and a.
     constraint : (rows,)
-        The constraint that each row is a term of, counted from 0; each has at least one.
+        Index of the constraint that each row is a term of. Each constraint has at least one row.
     equality : (rows,)
-        True if the row must be 0; the others must be at most 0.
+        True if the row must be 0; the other rows must be at most 0.
     """
 
     gradient: FloatArray
@@ -75,26 +77,26 @@ class QuadraticSubproblem:
 def penalised_step(
     model: QuadraticSubproblem, penalty: float, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve the program above.
+    """Solve the quadratic program with penalised constraints.
 
     Parameters
     ----------
     model, penalty
-        Its g, B, c, a, and nu.
+        g, B, c and a of the program, and nu.
     lower, upper : (n,)
-        Finite, with 0 between or on them. Unknowns whose bounds are the same stay.
+        Finite bounds of the step that contain 0. Unknowns with equal bounds stay.
 
     Returns
     -------
     step : (n,)
         p, within the bounds.
     multipliers : (rows,)
-        Between 0 and nu, between -nu and nu for equalities.
+        Multipliers between 0 and nu; between -nu and nu for equalities.
     """
     free, equality = upper > lower, model.equality
     step, signed = np.zeros(len(free)), np.zeros(len(equality) + int(equality.sum()))
     if free.any():
-        # in units of each unknown's range
+        # scale each unknown by its range
         width = (upper - lower)[free]
         box = lower[free] / width, upper[free] / width
         gradient = width * model.gradient[free]
@@ -110,18 +112,18 @@ def penalised_step(
 
 @dataclass(frozen=True)
 class _ScaledRows:
-    """Terms of constraints, those of an equality with either sign, divided by `lengths`.
+    """Scaled rows of constraints; an equality has its rows with either sign.
 
     Attributes
     ----------
     kept
-        Positions of the rows among all of them.
+        Indices of the kept rows among all rows.
     group
-        The constraint of each.
+        Index of the constraint of each row.
     lengths
-        Of each constraint: its longest row then has length 1.
+        Divisor of each constraint's rows. The longest row then has length 1.
     values, jacobian
-        Of each row, by the free unknowns in units of their ranges.
+        Value of each row, and its derivatives by the free unknowns in units of their ranges.
     """
 
     kept: npt.NDArray[np.intp]
@@ -138,8 +140,8 @@ def _scaled_rows(
     values = np.concatenate([model.values, -model.values[equality]])
     rows = np.vstack([model.jacobian, -model.jacobian[equality]])[:, free] * width
     group = np.concatenate([model.constraint, model.constraint[equality]])
-    # a row that is negative wherever the step may go says nothing; as it may be a constant, it
-    # would spoil the scale
+    # drop rows that are negative within all bounds: they have no effect, and constant rows among
+    # them would distort the scale
     highest = values + np.maximum(rows * box[0], rows * box[1]).sum(axis=1)
     kept = np.flatnonzero(highest > 0.0)
     values, rows, group = values[kept], rows[kept], group[kept]
@@ -153,12 +155,12 @@ def _scaled_rows(
 def _minimise(
     gradient: FloatArray, hessian: FloatArray, rows: _ScaledRows, weights: FloatArray, box: Box
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the scaled step, and the multipliers of the rows.
+    """Return the scaled step and the multipliers of the rows.
 
-    The unknowns are those of the step, and one bound t_i >= v_i for each constraint.
+    PIQP's variables are the step and one upper bound t_i >= v_i for each constraint.
     """
     n, m = len(gradient), len(weights)
-    # the largest number of the cost is 1, unless the penalty is much larger still
+    # scale the largest coefficient of the cost to 1, unless the penalty is much larger
     size = max(np.abs(gradient).max(), np.abs(hessian).max(), 1e-6 * weights.max(initial=0.0))
     size = size or 1.0
     quadratic = np.zeros((n + m, n + m))
@@ -177,6 +179,6 @@ def _minimise(
         x_l=np.append(box[0], np.zeros(m)),
         x_u=np.append(box[1], np.full(m, np.inf)),
     )
-    solver.solve()  # rounding errors may keep it from that accuracy: it has come as near as it can
+    solver.solve()  # the status is ignored: rounding errors may prevent the full accuracy
     found = solver.result
-    return np.nan_to_num(found.x[:n]), np.nan_to_num(found.z_u * size)  # 0 where numbers overflow
+    return np.nan_to_num(found.x[:n]), np.nan_to_num(found.z_u * size)  # 0 in place of NaN

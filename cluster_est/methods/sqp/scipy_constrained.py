@@ -1,9 +1,8 @@
 """SciPy's constrained minimisers: SLSQP, and the trust region `trust-constr`.
 
-They see unknowns in units of their typical sizes and a cost that is 1 or less at the start, because
-their tolerances are absolute. They have no failed simulations: a large cost takes their place, so
-that they shorten their step. Whatever they return, the best point that they asked for is the
-solution.
+Their tolerances are absolute. So the unknowns are scaled by their typical sizes, and the cost is
+scaled to at most 1 at the start. SciPy does not support failed simulations: a large cost in their
+place makes it shorten the step. The solution is the best evaluated point, whatever SciPy returns.
 
 References: D. Kraft, ACM TOMS 20 (1994) 262-281, doi:10.1145/192115.192124; R. H. Byrd, M. E.
 Hribar, J. Nocedal, SIAM J. Optim. 9 (1999) 877-900, doi:10.1137/S1052623497325107.
@@ -50,21 +49,21 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 CAPACITY = 32
-"""Points; libraries ask again for the last few only."""
+"""Points in the cache; SciPy requests only the last few points again."""
 
 
 class EvaluationCache:
     """Evaluations and derivatives by point, and the best point.
 
-    The library sees z = (x - origin) / typical, in which all unknowns are alike. The origin is the
-    start, and may be moved to a point from which the library is to start anew.
+    SciPy works on the scaled unknowns z = (x - origin) / typical. The origin is the start of the
+    space, or a later point from which SciPy starts again.
 
     Parameters
     ----------
     space, ask
-        The space that is searched, and the function that has points evaluated.
+        The search space, and the function that evaluates points.
     scheme, relative_step
-        Of the differences; the scheme may be changed.
+        Scheme and relative step of the differences; the scheme may be changed.
     """
 
     def __init__(self, space: SearchSpace, ask: Ask, scheme: Scheme, relative_step: float) -> None:
@@ -75,23 +74,23 @@ class EvaluationCache:
         self.scheme = scheme
         self.gradients = 0
         self.failures = 0
-        """Of points, one after the other."""
+        """Number of points that failed in a row."""
         self.progress = Progress(0, np.nan)
         self.best: tuple[FloatArray, Evaluation] | None = None
 
     def forget_derivatives(self) -> None:
-        """Have all derivatives asked for anew, with other steps than those that failed."""
+        """Discard all derivatives, and reduce the relative step for new ones."""
         relative = self._relative_step or suitable_step(self._space, self.scheme)
         self._relative_step = STEP_REDUCTION * relative
         self._derivatives.clear()
 
     def point(self, z: FloatArray) -> FloatArray:
-        """Return the point of the space: within bounds, and exactly the origin where z is 0."""
+        """Return the point of the space, within bounds; exactly the origin if z is 0."""
         space = self._space
         return np.clip(self.origin + np.asarray(z) * space.typical, space.lower, space.upper)
 
     def evaluation(self, z: FloatArray) -> Evaluation:
-        """Return the evaluation at z; ask for it only if it is not in the cache."""
+        """Return the evaluation at z, from the cache if it is there."""
         x = self.point(z)
         key = x.tobytes()
         if key not in self._evaluations:
@@ -106,11 +105,11 @@ class EvaluationCache:
         return self._evaluations[key]
 
     def derivatives(self, z: FloatArray) -> CostDerivatives:
-        """Return the derivatives at z by x; ask for them only if they are not in the cache."""
+        """Return the derivatives by x at z, from the cache if they are there."""
         return self._derivatives_at(self.point(z), self.evaluation(z))
 
     def derivatives_at_best(self) -> CostDerivatives:
-        """Return those at the best point, which must be there."""
+        """Return the derivatives at the best point; there must be a best point."""
         assert self.best is not None
         return self._derivatives_at(*self.best)
 
@@ -133,22 +132,26 @@ class EvaluationCache:
 
 FAILED_COST = 1e10
 ENDLESS = 1_000_000
-"""SciPy's limit of iterations: ours is on the number of derivatives."""
+"""SciPy's limit of iterations; `max_iterations` limits the number of derivatives instead."""
 GRADIENT_TOLERANCE = 1e-14
-"""Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
+"""Gradient tolerance of trust-constr.
+
+With a larger one, a stationary point of its barrier function would end the search."""
 STANDSTILL, STANDSTILLS = 1e-9, 5
-"""Steps of SLSQP, in typical sizes, that are below the error of derivatives by differences, and so
-many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
+"""Length of a negligible step of SLSQP, in typical sizes, and number of such steps in a row.
+
+Such steps are below the error of finite differences. After that many of them at a feasible point,
+SLSQP counts as converged."""
 BARRIER_MARGIN = 0.01
-"""Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
+"""Distance of the start of trust-constr from each bound, in typical sizes."""
 
 
 class _FeasiblePointError(Exception):
-    """Raised through SciPy at a feasible point, where there is nothing to minimise."""
+    """Raised through SciPy at a feasible point if there is no cost to minimise."""
 
 
 class _StandstillError(Exception):
-    """Raised through SciPy where it only takes steps that make no difference."""
+    """Raised through SciPy after several negligible steps."""
 
 
 class _LimitError(Exception):
@@ -156,7 +159,7 @@ class _LimitError(Exception):
 
 
 class _QuietBFGS(BFGS):  # type: ignore[misc]
-    """SciPy's, without its warning that a function is linear."""
+    """SciPy's BFGS updates, without the warning about linear functions."""
 
     def update(self, delta_x: FloatArray, delta_grad: FloatArray) -> None:
         if np.any(delta_grad != 0.0):
@@ -169,7 +172,7 @@ def scipy_search(space: SearchSpace, settings: Sqp) -> Search:
 
 
 class _ScipyCallbacks:
-    """The functions that SciPy calls, on one cache of evaluations."""
+    """The functions that SciPy calls, with a common cache of evaluations."""
 
     def __init__(self, space: SearchSpace, settings: Sqp, ask: Ask) -> None:
         self._space, self._settings = space, settings
@@ -181,7 +184,7 @@ class _ScipyCallbacks:
         self._last, self._standstills = self._origin, 0
         self._feasibility_only = False
         self._guessed = np.zeros(space.size, dtype=bool)
-        """Unknowns whose derivatives were not known somewhere in the last run."""
+        """Unknowns with an unknown derivative at some point of the last run."""
         self._constraints_before: FloatArray = np.zeros(len(self._equality))
 
     def solve(self) -> Solution:
@@ -203,7 +206,7 @@ class _ScipyCallbacks:
         return self._solution(ending, message)
 
     def _until_known(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
-        """Run SciPy; again, from the best point, if a derivative was not known on the way."""
+        """Run SciPy; run it again from the best point if a derivative was unknown."""
         for i in range(MOST_SCIPY_RUNS):
             if i:
                 self._cache.forget_derivatives()
@@ -273,7 +276,7 @@ class _ScipyCallbacks:
             "gtol": GRADIENT_TOLERANCE,
             "maxiter": ENDLESS,
         }
-        if bounded or constraints:  # its default factorisation warns of dependent constraints
+        if bounded or constraints:  # the default factorisation warns of dependent constraints
             options |= {"sparse_jacobian": False, "factorization_method": "SVDFactorization"}
         margin = np.minimum(BARRIER_MARGIN, 0.1 * (upper - lower))
         found = minimize(
@@ -330,7 +333,7 @@ class _ScipyCallbacks:
         return np.asarray(self._derivatives(z).gradient * self._space.typical / self._scale)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the constraints; where a simulation failed, the last values, as the cost tells."""
+        """Return the constraints; the last defined values if they are undefined here."""
         at = self.evaluation(z)
         if is_defined(at):
             self._constraints_before = at.constraints
@@ -350,7 +353,7 @@ class _ScipyCallbacks:
         return found
 
     def _note_slsqp(self, z: FloatArray) -> None:
-        """Add a line, and end where nothing moves any more."""
+        """Add a line to the iteration table, and end SLSQP after negligible steps."""
         moved = float(np.abs(z - self._last).max())
         self._note(z)
         self._standstills = self._standstills + 1 if moved <= STANDSTILL else 0
@@ -374,7 +377,7 @@ class _ScipyCallbacks:
         self._last = np.array(z)
 
     def _optimality(self, z: FloatArray) -> float:
-        """Return the Lagrangian's largest derivative, at the multipliers that make it least."""
+        """Return the largest derivative of the Lagrangian at least-squares multipliers."""
         if not self._cache.has_derivatives(z) or not is_defined(self._cache.evaluation(z)):
             return self._cache.progress.optimality
         at, lower, upper = self._cache.evaluation(z), *self._bounds()
@@ -392,7 +395,7 @@ class _ScipyCallbacks:
         return float(np.abs(gradient + normals.T @ multipliers).max())
 
     def _cut_short(self, x: FloatArray) -> bool:
-        """Return whether failures ended the search where the cost can still fall."""
+        """Return whether failures ended the search at a point that is not optimal."""
         if self._feasibility_only or self._cache.failures < FAILED_TRIALS_IN_A_ROW:
             return False
         self._cache.origin = x

@@ -1,16 +1,17 @@
-"""Sequential quadratic programming with a trust region, made for few and costly simulations.
+"""Sequential quadratic programming with a trust region, for few and costly simulations.
 
-An iteration is two requests: the points of the derivatives, then one trial step. The step minimises
-a quadratic model of the cost plus a penalty on the violation of the linearised constraints, within
-the bounds and a trust region (R. Fletcher, Practical Methods of Optimization, 2nd ed. (1987),
-section 14.4). A rejected step costs one point, not new derivatives.
+An iteration makes two requests: the points of the derivatives, then one trial step. The step
+minimises a quadratic model of the cost plus a penalty on the violation of the linearised
+constraints. It stays within the bounds and a trust region (R. Fletcher, Practical Methods of
+Optimization, 2nd ed. (1987), section 14.4). A rejected step costs one point, not new derivatives.
 
-    merit          cost + penalty * violations: a step must reduce it
-    local model    at the current point, and its best step (local_model.py)
-    correction     second-order, of a step that violates curved constraints: their values at its end
-    kink           of a constraint: its derivatives at the end of a rejected step are asked for, and
-                   the linearisations on both sides count from then on
-    rho            actual over predicted reduction of the merit
+    merit          cost + penalty * violations; a step must reduce the merit
+    local model    model at the current point, and its best step (local_model.py)
+    correction     second-order correction of a step that violates curved constraints, from the
+                   values of the constraints at its end
+    kink           after a rejected step at a kink of a constraint, the derivatives at its end are
+                   computed; from then on the linearisations on both sides are used
+    rho            actual reduction of the merit over the predicted reduction
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ from workers.messages import FloatArray
 INITIAL_RADIUS = 1.0
 """Radius of the first trust region, in units of each unknown's size."""
 REFINED_RADIUS = 1e-2
-"""The least radius that central differences begin with."""
+"""Least radius at the change to central differences."""
 ACCEPTED_RATIO, POOR_RATIO, GOOD_RATIO = 0.05, 0.25, 0.75
-"""Values of rho: the least that is accepted, and those that shrink and widen the region."""
+"""Values of rho: least accepted value, and limits for shrinking and widening the region."""
 RADIUS_REDUCTION, RADIUS_GROWTH = 0.25, 3.0
 ZERO_COST = 1e-16
 """A cost this much smaller than the largest so far counts as zero."""
@@ -63,41 +64,43 @@ DerivativeRequests = Generator[Points, list[Evaluation], CostDerivatives]
 class Sqp(Method):
     """Sequential quadratic programming.
 
-    For a cost under constraints, and for costs that are no sum of squares. It finds the minimum
-    that the start leads to; for others use several starts. Without constraints `least_squares` is
-    better where the cost is a sum of squares. It needs derivatives: where simulations jump or are
-    noisy beyond their tolerance, use `pattern_search`.
+    Use it for costs with constraints, and for costs that are not sums of squares. It finds one
+    local minimum, which depends on the start; use several starts to find others. For a sum of
+    squares without constraints, `least_squares` is better. The method needs derivatives. If
+    simulations jump or are noisy beyond their tolerance, use `pattern_search`.
 
-    Where there is nothing to minimise it ends at the first point that satisfies all constraints.
+    If there is no cost to minimise, it ends at the first point that satisfies all constraints.
 
     Attributes
     ----------
     algorithm
-        "native": a trust region with the Gauss-Newton curvature of the cost, which sees the kinks
-        of constraints on the largest value of a signal. "slsqp" and "trust_constr" are SciPy's, to
-        compare with well-known implementations; they need more simulations, and creep at kinks.
+        "native": a trust-region method with Gauss-Newton curvature of the cost. It handles the
+        kinks of constraints on the largest value of a signal. "slsqp" and "trust_constr" call
+        SciPy, for comparison with well-known implementations. They need more simulations, and make
+        slow progress at kinks.
     max_iterations
         Limit on the number of steps for "native", else on the number of derivatives.
     ftol
         Converged when the predicted and the actual change of the cost by a step are at most this
-        part of it. "slsqp": its ftol, with the cost in units of its size at the start.
+        part of the cost. "slsqp": its ftol, with the cost in units of its size at the start.
     xtol
         Converged when only steps shorter than this part of each unknown lower the cost, as at a
         kink. Not used by "slsqp".
     differences
-        "forward", "central", or "auto": forward until converged, then central to the end, which
-        removes the error that forward differences leave in the minimum. "sensitivities", for
-        "native" and a cost with weights: none, see `LeastSquares`; else as "auto".
+        "forward", "central", or "auto": forward until converged, then central until the end. This
+        removes the error of forward differences from the minimum. "sensitivities" uses no
+        differences, for "native" and a cost with weights (see `LeastSquares`); else it is "auto".
     relative_step
-        Relative step of the differences; 0 takes the one that suits the solver's noise.
+        Relative step of the differences; 0 selects the step from the solver's noise.
     hessian
-        "auto" takes Gauss-Newton's matrix or quasi-Newton updates of it, whichever predicted the
+        "auto" uses the Gauss-Newton matrix or its quasi-Newton updates, whichever predicted the
         last steps better. "gauss_newton" suits good fits, "quasi_newton" large residuals. "slsqp"
-        has updates only, "trust_constr" Gauss-Newton's unless this is "quasi_newton".
+        always uses updates. "trust_constr" uses the Gauss-Newton matrix unless this is
+        "quasi_newton".
     speculative_gradient
-        Ask for the points of the derivatives together with each trial step ("native" only): half
-        as many requests, but wasted simulations where a step is rejected. Worth it with more
-        workers than unknowns.
+        Evaluate the points of the derivatives together with each trial step ("native" only). This
+        halves the number of requests, but wastes simulations if a step is rejected. Use it with
+        more workers than unknowns.
     """
 
     name: ClassVar[str] = "sqp"
@@ -125,7 +128,7 @@ class Sqp(Method):
 def trust_region_search(space: SearchSpace, settings: Sqp) -> Search:
     """Minimise the cost of `space` under its bounds and constraints.
 
-    The solution has the Jacobian of the residuals where the cost gives them weights.
+    The solution has the Jacobian of the residuals if the cost has weights.
     """
     x = space.start
     (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
@@ -151,7 +154,7 @@ class _TrialStep:
 
     @property
     def rho(self) -> float:
-        """The actual over the predicted reduction."""
+        """Actual over predicted reduction; -1 if no reduction is predicted."""
         predicted = self.step.predicted_reduction
         return self.reduction / predicted if predicted > 0.0 else -1.0
 
@@ -177,7 +180,7 @@ class _TrustRegionSearch:
         self._progress = Progress(0, at.cost, violation=self._table_violation(at))
 
     def iterate(self) -> Generator[Points, list[Evaluation], Ending | None]:
-        """Go from derivatives to the next point. Return the ending, if it is one."""
+        """Compute derivatives and move to the next point. Return the ending, if any."""
         if self._feasible_point_suffices():
             return Ending.CONVERGED
         yield from self._differentiate(self._x, self._at)
@@ -187,7 +190,7 @@ class _TrustRegionSearch:
         return (yield from self._advance()) if ending is None else ending
 
     def refine(self, ending: Ending) -> bool:
-        """Change to central differences if forward ones have converged; return whether."""
+        """Change to central differences after convergence; return whether the search goes on."""
         converged = ending is Ending.CONVERGED or (
             ending is Ending.STALLED and self._progress.optimality < OPTIMALITY_TOLERANCE
         )
@@ -198,7 +201,7 @@ class _TrustRegionSearch:
         return True
 
     def solution(self, ending: Ending) -> Search:
-        """Return the point of least merit among the feasible ones, else that of least violation."""
+        """Return the feasible point of least merit, or else the point of least violation."""
         x, at = self._best
         if self._at.feasible and self._penalty.merit(self._at) <= self._penalty.merit(at):
             x, at = self._x, self._at
@@ -228,7 +231,7 @@ class _TrustRegionSearch:
     def _differentiate(
         self, x: FloatArray, at: Evaluation
     ) -> Generator[Points, list[Evaluation], None]:
-        """Ask for the derivatives, unless they came with the trial."""
+        """Compute the derivatives, unless they were evaluated with the trial."""
         requests, answered, self._speculative = self._derivatives(x, at), self._speculative, None
         if answered is not None and np.array_equal(answered[0], x):
             requests = _begun(requests, answered[1])
@@ -309,7 +312,7 @@ class _TrustRegionSearch:
         return _TrialStep(step, x, at, self._penalty.merit(self._at) - self._penalty.merit(at))
 
     def _violates_constraints(self, trial: _TrialStep) -> bool:
-        """Return whether rho is below a half, mostly because constraints are curved."""
+        """Return whether rho is at most a half, mostly because constraints are curved."""
         step = trial.step
         if not is_defined(trial.at) or trial.reduction > 0.5 * step.predicted_reduction:
             return False
@@ -317,7 +320,7 @@ class _TrustRegionSearch:
         return self._penalty.value * excess > 0.5 * (step.predicted_reduction - trial.reduction)
 
     def _accept(self, trial: _TrialStep) -> Ending | None:
-        """Move to a trial point. Return the ending, if it is one."""
+        """Move to a trial point. Return the ending, if any."""
         length = self._model.length(trial.step.vector)
         self._radius = _next_radius(self._radius, trial.rho, length)
         self._shrunk_by_failures &= self._radius < REFINED_RADIUS
@@ -335,7 +338,7 @@ class _TrustRegionSearch:
         reduction = max(trial.reduction, trial.step.predicted_reduction)
         least = self._settings.ftol * self._merit_scale(trial.at)
         if self._model.derivatives.frozen.any() or self._model.along_walls:
-            return None  # an end must be one by all derivatives
+            return None  # only a step with all derivatives may end the search
         if trial.at.feasible and reduction + violation <= least:
             return Ending.CONVERGED
         return Ending.STALLED if length <= self._settings.xtol else None
@@ -345,7 +348,7 @@ class _TrustRegionSearch:
         return self._feasibility_only and self._best[1].feasible
 
     def _merit_scale(self, at: Evaluation) -> float:
-        """Return the scale to which changes of the merit are relative."""
+        """Return the scale of relative changes of the merit."""
         size = max(abs(at.cost), ZERO_COST * self._largest_cost)
         return size if at.feasible else size + self._penalty.value * self._penalty.violations(at)
 
@@ -357,7 +360,7 @@ class _TrustRegionSearch:
 
 
 def _begun(requests: DerivativeRequests, answers: list[Evaluation]) -> DerivativeRequests:
-    """Go on with requests of which the first has been answered."""
+    """Continue a generator of requests whose first request has its answers already."""
     next(requests)
     try:
         points = requests.send(answers)
