@@ -332,7 +332,7 @@ def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: F
 def _curve_does_most(begun: RoundStart) -> bool:
     """Return whether a structure has a free curve or filter and closes what a claim needs.
 
-    Its interpolation error, between a few values, is far smaller than the rest that this allows.
+    What it leaves is then partly its own error, so further effects would follow this error.
     """
     free = any(candidate.form.free for candidate in begun.model.added)
     closed = begun.base.sse - begun.model.sse

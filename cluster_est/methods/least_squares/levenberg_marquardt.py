@@ -1,27 +1,28 @@
 """A Levenberg-Marquardt method within bounds and constraints, for parallel evaluations.
 
-An iteration is two requests: one point for each colour of unknowns (the Jacobian), then steps for
-several damping factors at the same time, of which the best is taken. The number of trial steps is
-an option and never the number of workers, so the result does not depend on the machine. Where the
-predicted reduction is far above the best actual one, a third request follows the curvature that
-the trials have shown. In place of the first one may stand Broyden's update of the last Jacobian by
-what its step has shown, which costs no simulation:
+An iteration has two requests. The first one evaluates a point for each colour of unknowns, for the
+Jacobian. The second one evaluates the steps of several damping factors at the same time, and the
+best step is taken. The number of trial steps is an option and does not depend on the number of
+workers, so the result does not depend on the machine. If the predicted reduction is far above the
+best actual one, a third request tries steps that follow the curvature shown by the trials. Instead
+of a new Jacobian, Broyden's update of the last one can be used, which needs no simulation:
 
     J+ = J + (dr - J p) (D^2 p)' / (p' D^2 p)
 
-is the least change, in the scaled norm, with which J+ p = dr, the change of the residuals that was
-seen (C. G. Broyden, Math. Comp. 19 (1965) 577-593, doi:10.1090/S0025-5718-1965-0198670-6).
+This is the least change, in the scaled norm, with which J+ p = dr, where dr is the change of the
+residuals by the step p (C. G. Broyden, Math. Comp. 19 (1965) 577-593,
+doi:10.1090/S0025-5718-1965-0198670-6).
 
-Each step minimises the linear model within the bounds exactly, so a bound that becomes active does
-not bend the step of the other unknowns. Damping is scaled by the largest column norms so far, which
+Each step minimises the linear model within the bounds exactly, so an active bound does not change
+the direction of the other unknowns. Damping is scaled by the largest column norms so far. This
 makes the iterates independent of the units of the unknowns.
 
-A minimum is flat: at half of a double's digits in the unknowns all digits of the cost are used up.
-The gradient has more of them. So the last steps, where changes of the cost are rounding errors, are
-full steps, one point at a time, as long as they do not raise the cost by more than counts as no
-change. Gauss-Newton steps approach a minimum with large residuals only linearly; two of them in a
-row are extrapolated by Anderson's formula of depth one (H. F. Walker, P. Ni, SIAM J. Numer. Anal.
-49 (2011) 1715-1735, doi:10.1137/10078356X).
+Near a minimum, the cost is flat: it no longer changes in any digit while the unknowns still change
+in half of theirs. The gradient is more accurate. So the last steps, in which changes of the cost
+are rounding errors, are full steps, one point at a time, as long as the cost does not rise
+noticeably. If the residuals are large, Gauss-Newton steps converge only linearly. Two of them in a
+row are therefore extrapolated by Anderson's formula of depth one (H. F. Walker, P. Ni, SIAM J.
+Numer. Anal. 49 (2011) 1715-1735, doi:10.1137/10078356X).
 
 References: D. W. Marquardt, J. SIAM 11 (1963) 431-441, doi:10.1137/0111030; J. J. More, The
 Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630 (1978), doi:10.1007/BFb0067700.
@@ -65,9 +66,9 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 FINAL_PART = 1e-6
-"""Part of `ftol` below which the relative reduction ends the search."""
+"""The search ends if the relative reduction is below this part of `ftol`."""
 LARGEST_FACTOR = 10.0
-"""Most by which the extrapolation may lengthen a step."""
+"""Largest factor by which the extrapolation may lengthen a step."""
 
 
 def final_step(
@@ -107,21 +108,21 @@ def _extrapolated(state: IterationState, step: FloatArray, model: LocalModel) ->
 
 
 WORST = 0.95
-"""Distance of the change that was expected from the one that was seen, over the latter, above which
-derivatives are computed anew."""
+"""Largest deviation of the expected change of the residuals from the actual change, relative to the
+actual change. Above it, derivatives are computed by simulations."""
 
 
 def secant_update(
     jacobian: ResidualJacobian, before: IterationState, after: IterationState
 ) -> ResidualJacobian | None:
-    """Return the Jacobian after a step; None where it does not say what the step has shown.
+    """Return the Jacobian after a step; None if it contradicts the result of the step.
 
     Parameters
     ----------
     jacobian
-        At the point before.
+        The Jacobian at the point before the step.
     before, after
-        The step.
+        The states before and after the step.
     """
     blocks, step = jacobian.blocks, after.x - before.x
     seen = after.at.residuals - before.at.residuals
@@ -139,55 +140,56 @@ def secant_update(
 
 INITIAL_DAMPING = 1e-3
 SHRUNK_UNKNOWN = 0.1
-"""An unknown this much smaller than its start gets smaller differences at the end."""
+"""Unknowns below this part of their start value get shorter difference steps at the end."""
 MATTERS = 1e-3
-"""Change of the residuals, over their size, that an unknown makes when it changes by its own size,
-below which its derivative does not matter."""
+"""Smallest relative change of the residuals, if an unknown changes by its own size, at which the
+derivative of this unknown matters."""
 DOUBTED = (Ending.CONVERGED, Ending.STALLED, Ending.NO_EFFECT)
-"""Endings that better derivatives may show to be none."""
+"""Endings that are confirmed with more accurate derivatives."""
 NO_ROOM = "the budget was too small for more accurate derivatives"
 CONSTRAINED_XTOL = 1e-6
-"""Shortest step under constraints; at their kinks the cost stops falling long before it."""
+"""Shortest step under constraints. At kinks of constraints, the cost stops falling earlier."""
 
 
 @dataclass(frozen=True)
 class LeastSquares(Method):
     """Levenberg-Marquardt with coloured differences and parallel trial steps.
 
-    The method to try first for any sum of squares, and for the costs that weight them: few
-    evaluations, and each request keeps many workers busy. It finds the minimum that the start leads
-    to; for others use several starts. It keeps bounds at every point. Under constraints of other
-    kinds its Gauss-Newton model goes through the steps of `sqp`, and they are satisfied in the end.
-    Not for costs without weights, or with jumps. It asks for no Jacobian if a budget of evaluations
-    has no room for a step that follows: to the end it corrects the last one by its steps.
+    Try this method first for any sum of squares, and for costs with weights. It needs few
+    evaluations, and each request keeps many workers busy. It finds the local minimum near the
+    start; use several starts for other minima. It keeps bounds at every point. With constraints of
+    other kinds, its Gauss-Newton model is used in the steps of `sqp`, and the constraints are
+    satisfied at the end. It is not suitable for costs without weights or with jumps. If the budget
+    of evaluations has no room for a Jacobian and a step, the last Jacobian is updated instead.
 
     Attributes
     ----------
     trials
-        Steps that are tried at once, each with ten times the damping of the one before. Without
-        effect under constraints.
+        Number of steps that are tried at once, each with ten times the damping of the one before.
+        No effect with constraints.
     max_iterations
-        Limit on the number of Jacobians, corrected ones among them.
+        Largest number of Jacobians, including updated ones.
     ftol, xtol, gtol
-        Converged when the model expects to lower the cost by less than `ftol` of the weighted sum
-        of squares, when a step is shorter than `xtol` of the point, or when the cosine between the
-        residuals and every column of the Jacobian that is not held by a bound is below `gtol`.
+        The search has converged if the model predicts a reduction of the cost below `ftol` times
+        the weighted sum of squares, if a step is shorter than `xtol` times the point, or if the
+        cosine between the residuals and each column of the Jacobian is below `gtol`. Columns of
+        unknowns at a bound do not count.
     differences
-        "forward", "central", or "auto": forward until converged, then central to the end, which
-        removes the error that forward differences leave in the minimum; where no step lowers the
-        cost, though they promise it, with longer steps, as for simulations that are noisier than
-        their solver lets expect. Where they are central, the last steps go on to a millionth of
-        `ftol`. "sensitivities": none; one simulation carries the
-        derivatives along, where an FMU in model exchange provides directional derivatives that
-        agree with differences, and "auto" elsewhere. `cluster-est check` says where they are
-        quicker; nothing else takes them.
+        "forward", "central", "auto" or "sensitivities". "auto" uses forward differences until
+        convergence and then central differences, which removes the error of forward differences
+        from the minimum. If no step lowers the cost as predicted, "auto" uses longer difference
+        steps, because the simulations may be noisier than their solver suggests. With central
+        differences, the last steps continue to a millionth of `ftol`. "sensitivities" uses none:
+        one simulation also integrates the derivatives. This needs an FMU in model exchange whose
+        directional derivatives agree with differences; otherwise it is the same as "auto".
+        `cluster-est check` reports where sensitivities are faster; they are never used by default.
     relative_step
-        Relative step of the differences; 0 takes the one that suits the solver's noise.
+        Relative step of the differences; 0 selects the step that suits the noise of the solver.
     secant_updates
-        How many times in a row the derivatives of the next point may be those of the last one,
-        corrected by what its step has shown, in place of new ones: for expensive simulations on few
-        workers, with some ten unknowns or more in each experiment. Derivatives are computed anew
-        where they do not suit, and before it ends. Without effect under constraints.
+        Largest number of Jacobians in a row that are updates of the one before, instead of new
+        ones. Useful for expensive simulations on few workers, with about ten or more unknowns in
+        each experiment. Derivatives are computed by simulations if an update does not suit, and
+        before the search ends. No effect with constraints.
     """
 
     name: ClassVar[str] = "least_squares"
@@ -241,7 +243,7 @@ class LeastSquares(Method):
         )
         provider = JacobianProvider(space, self.differences, self.relative_step)
         compared: ResidualJacobian | None = None
-        before: _End | None = None  # where shorter differences ended
+        before: _End | None = None  # the end with shorter differences
         ended = Ending.CONVERGED
         secant, updates, most = None, 0, self.secant_updates
         before_step: tuple[ResidualJacobian, IterationState] | None = None
@@ -294,7 +296,7 @@ class LeastSquares(Method):
     def _iterate(
         self, space: SearchSpace, state: IterationState, jacobian: ResidualJacobian, exact: bool
     ) -> Steps:
-        """Go from a Jacobian to the next point. Return the new state, and the ending if any."""
+        """Take a step with a Jacobian. Return the new state, and the ending if there is one."""
         if jacobian.frozen.all():
             return state, Ending.DERIVATIVES_FAILED
         model = LocalModel(space, state.x, state.at, jacobian, state.largest)
@@ -320,7 +322,7 @@ class LeastSquares(Method):
 
 @dataclass(frozen=True)
 class _End:
-    """An end of the search, with the derivatives that led there, and what is to be said of them."""
+    """An end of a search, with its last Jacobian and a note about the differences."""
 
     state: IterationState
     jacobian: ResidualJacobian | None
@@ -328,9 +330,9 @@ class _End:
     note: str
 
     def better_than(self, before: _End | None) -> _End:
-        """Return this end, or the one before if hardly anything is gained.
+        """Return this end, or the one before if this end is hardly better.
 
-        That has shorter differences, which are those of a point that is as good as this one.
+        The end before has shorter differences, so its derivatives are more accurate.
         """
         if before is None or self.ending not in DOUBTED:
             return self
@@ -357,9 +359,9 @@ def _corrected(
     state: IterationState,
     compared: ResidualJacobian | None,
 ) -> ResidualJacobian | None:
-    """Return the last Jacobian, corrected by its step, where a budget has no room for a new one.
+    """Return the updated last Jacobian, for a budget without room for a new one.
 
-    None at an end that only better derivatives could confirm, or where the step contradicts it.
+    None at an end that needs more accurate derivatives, or if the step contradicts the Jacobian.
     """
     if before is None or compared is not None:
         return None
@@ -367,9 +369,9 @@ def _corrected(
 
 
 def _without_room(end: _End, before: _End | None) -> _End:
-    """Return the end where a budget has no room for derivatives and a step that follows.
+    """Return the end if a budget has no room for derivatives and a step.
 
-    An end that has derivatives stays one, though there is no room for better ones.
+    An end that has derivatives is kept, although there is no room for more accurate ones.
     """
     if end.jacobian is None:
         return replace(end, ending=Ending.BUDGET)
@@ -382,8 +384,8 @@ def _disagree(
 ) -> bool:
     """Return whether two Jacobians by different differences differ by more than half in a column.
 
-    Then both are the noise of simulations, or a kink. Columns of unknowns that hardly matter are
-    left out, as is everything where nothing is left of the residuals.
+    Then both Jacobians show the noise of simulations, or a kink. Columns of unknowns that hardly
+    matter are not compared, and nothing is compared if the residuals are nearly zero.
     """
     if state.exhausted or one.dense_if_small is None or other.dense_if_small is None:
         return False
@@ -397,13 +399,13 @@ def _disagree(
 
 
 def _without_scales(state: IterationState) -> IterationState:
-    """Return the state without the sizes of columns that were noise."""
+    """Return the state without the column norms, which were noise."""
     damping = min(state.damping, INITIAL_DAMPING)
     return replace(state, damping=damping, largest=np.zeros(len(state.x)))
 
 
 def _with_current_sizes(space: SearchSpace, x: FloatArray) -> SearchSpace:
-    """Return the space, for differences, with starts as small as unknowns have become."""
+    """Return the space with smaller start values for unknowns that have become small."""
     small = (np.abs(x) < SHRUNK_UNKNOWN * space.typical) & (space.start != 0.0)
     size = np.maximum(np.abs(x), SHRUNK_UNKNOWN**2 * space.typical)
     start = np.where(small, np.copysign(size, x), space.start)
