@@ -43,16 +43,16 @@ WORDS = {
     "swapped": r"swapped",
     "clock": r"clock",
     "unit": r"unit",
-    "sentinel": r"far from all others",
+    "sentinel": r"far from all other values",
     "foreign": r"periodic disturbance",
     "transient": r"initial state .* differs",
 }
 """Words that only a sentence on this kind of fault has."""
 ANY = re.compile(
-    r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic disturbance|far from all others"
+    r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic disturbance|far from all other values"
 )
 """Words of a sentence that claims a fault of a record."""
-SET_ASIDE = re.compile(r"each far from all its neighbours")
+SET_ASIDE = re.compile(r"far from all their neighbours")
 """Words of a loop that sets samples aside."""
 SETS = (*KINDS, "clean", "effect")
 
