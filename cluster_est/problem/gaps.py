@@ -202,7 +202,7 @@ def _parts(
 
 
 def _needs_whole(experiment: Experiment) -> str:
-    """Say what prevents a split because it refers to the whole record; "" for nothing."""
+    """Return what refers to the whole record and so prevents a split; "" for nothing."""
     there = {
         "a curve": experiment.curve is not None,
         "a cost function": experiment.cost_function is not None,
