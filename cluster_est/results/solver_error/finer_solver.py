@@ -28,7 +28,7 @@ def communication_step(model: Model, description: ModelDescription) -> float:
 
 
 def fixed_step(model: Model) -> float:
-    """Return the longest step, in seconds, of a solver without step size control at events.
+    """Return the longest step, in seconds, of a solver that does not shorten steps at events.
 
     It is infinite if each step extends from one time in the data to the next. It is 0.0 for solvers
     that control their error.
@@ -168,7 +168,7 @@ def step_never_taken(
 
 
 def usual_interval(experiments: Sequence[Experiment]) -> float:
-    """Return the interval of the data such that shorter intervals cover half of all time."""
+    """Return the median interval of the data, with the intervals' lengths as weights."""
     intervals = np.sort(np.concatenate([np.diff(build_grid(run).times) for run in experiments]))
     spent = np.cumsum(intervals)
     return float(intervals[np.searchsorted(spent, 0.5 * spent[-1])])
