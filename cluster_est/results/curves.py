@@ -78,7 +78,7 @@ def residual_table(
                 "measured",
                 "simulated",
                 "simulated_before",
-            ):  # a distance belongs to none of them
+            ):  # a distance has no time and no values
                 columns[name].append(np.full(len(distances), np.nan))
     names = ["experiment", "role", "output", "time", "measured", "simulated", "residual"]
     table = pa.table({name: _joined(columns[name]) for name in names})

@@ -340,8 +340,8 @@ WORTH_TRYING = 0.5
 AS_GOOD = 1e-3
 """Largest relative excess of the cost of whole records over that of the segments."""
 PROMISED = 0.3
-"""Ratio of standard errors from whole records to those from segments below which the first are not
-reliable, because negligible differences of states between segments would change them."""
+"""Ratio of standard errors from whole records to those from segments below which the first are
+unreliable. Negligible differences of states between segments would then change them."""
 EXACT_FIT_COST = 1e-9
 """Additional excess of the cost of whole records, over the cost of constants, for segments with
 residuals of 0."""

@@ -1,8 +1,8 @@
 """Tests whether the measurements prefer a changed simulation to the fitted one.
 
-Symbols: r are the residuals of the fit, d is their change, P is the projection that removes what
-the parameters could absorb, and a is the best share of the change. It is 0 for the fitted
-simulation and 1 for the changed one.
+Symbols: r are the residuals of the fit, and d is their change. P is the projection that removes
+what the parameters could absorb. a is the best share of the change: 0 for the fitted simulation, 1
+for the changed one.
 """
 
 from __future__ import annotations

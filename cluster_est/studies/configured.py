@@ -177,7 +177,7 @@ def thinned_for(kind: RunKind, config: Config, problem: Problem) -> ThinnedProbl
     """Thin the records of a study that uses thinned records throughout.
 
     Inputs keep all of their samples, so the simulations need not be compared with those of whole
-    records. A closed loop does this: it thins records itself, and reports on all rows.
+    records. A closed loop makes this comparison: it thins records itself, and reports on all rows.
     """
     if kind is RunKind.CLOSED_LOOP:
         return thinned(problem, None)

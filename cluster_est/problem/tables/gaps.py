@@ -30,8 +30,8 @@ NOISES, MOST_NOISE = 4.0, 0.02
 """This distance over the noise of an input, and its largest value over the input's range."""
 WITH_OUTPUTS, UNEVEN, REPEATED = 0.5, 3.0, 0.1
 """An input has points at its changes, and not samples, if two conditions hold. It has points at
-fewer than this share of the outputs' times. The 95 % quantile of its steps is more than so many
-times the 10 % quantile, or it is held and repeats fewer than this share of its values."""
+fewer than the first share of the outputs' times. The ratio of the 95 % to the 10 % quantile of its
+steps exceeds the second value, or it is held and repeats fewer than the third share of values."""
 
 LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
 """Additional units for long gaps."""
