@@ -22,7 +22,7 @@ NOT_PLAIN = "free_scale, free_offset, a detection_limit or ordinal values"
 
 
 def besides_plain_outputs(experiment: Experiment) -> list[str]:
-    """Name the features of an experiment other than outputs that are compared value by value."""
+    """Return the features of an experiment except outputs that are compared value by value."""
     there = {
         "a curve": experiment.curve is not None,
         "a cost function": experiment.cost_function is not None,
@@ -71,7 +71,7 @@ def refuse_ordinal_outputs(space: SearchSpace, key: str, why: str) -> None:
     Raises
     ------
     ProblemError
-        With a message that starts with `key` and ends with `why`, which says what to do.
+        If there are ordinal outputs; the message starts with `key` and ends with the advice `why`.
     """
     if space.has_ordinal_values:
         raise ProblemError(

@@ -1,7 +1,7 @@
-"""Dimensions of quantities: what a unit's text or an FMU says that a variable measures.
+"""Dimensions of physical quantities, from the text of a unit or from its definition in an FMU.
 
-A dimension is the powers of the base units in a unit, whatever the size of that. An angle has a
-power of its own, or the speed of a shaft could not be told from a rate.
+A dimension contains the powers of the base units in a unit; it does not depend on the size of the
+unit. The angle has its own power, so the speed of a shaft differs from a rate.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from workers.effects.site import is_difference, parts_of
 from workers.fmu.description import ModelDescription
 from workers.fmu.xml import UnitDefinition
 
-if TYPE_CHECKING:  # it is slow to import, and most runs have no use for it
+if TYPE_CHECKING:  # slow to import, and most runs do not need it
     import pint
 
 BASES = ("mass", "length", "time", "current", "temperature", "substance", "luminosity", "angle")
-"""In the order of an FMU's definitions, by pint's names."""
+"""Base quantities in the order of an FMU's unit definitions, with the names of pint."""
 
 
 @dataclass(frozen=True)
@@ -30,31 +30,31 @@ class Dimension:
     Attributes
     ----------
     powers
-        In the order of `BASES`.
+        Powers in the order of `BASES`.
     absolute
-        0 of the unit is that of the quantity; false for degrees Celsius.
+        Whether 0 in the unit is 0 of the quantity; false for degrees Celsius.
     """
 
     powers: tuple[float, ...]
     absolute: bool = True
 
     def same_as(self, *others: Dimension) -> bool:
-        """Return whether it is one of these, wherever their zeros are."""
+        """Return whether the powers equal those of one of the others; zeros may differ."""
         return any(self.powers == other.powers for other in others)
 
     @property
     def is_rate(self) -> bool:
-        """It is something per time, such as a speed or a flow."""
+        """Whether the quantity is a rate, such as a speed or a flow."""
         return self.powers[BASES.index("time")] == -1.0
 
     @property
     def without_angle(self) -> tuple[float, ...]:
-        """The powers of all but the angle, which many tools leave out."""
+        """The powers without that of the angle, which many tools leave out."""
         return self.powers[:-1]
 
 
 def dimension(**powers: float) -> Dimension:
-    """Return a dimension by the names of its bases: `dimension(length=1, time=-1)`."""
+    """Return the dimension with these powers, such as `dimension(length=1, time=-1)`."""
     return Dimension(tuple(float(powers.get(name, 0.0)) for name in BASES))
 
 
@@ -80,9 +80,9 @@ class KnownUnits:
     Parameters
     ----------
     description
-        Of the FMU, with the units that a config gives to its variables.
+        Description of the FMU, with the units that a config gives to its variables.
     given
-        Units that a config names, by variable or signal.
+        Units from a config, by variable or signal.
     """
 
     def __init__(self, description: ModelDescription, given: Mapping[str, str]) -> None:
@@ -98,7 +98,7 @@ class KnownUnits:
     def of(self, name: str) -> Dimension | None:
         """Return the dimension of a variable, a signal or a difference; None if it is unknown.
 
-        A difference of two dimensions has none. One of two temperatures has its zero in itself.
+        A difference has a dimension only if both of its variables have the same dimension.
         """
         if not self._has(name) and is_difference(name):
             first, second, *_ = parts_of(name)
@@ -111,10 +111,10 @@ class KnownUnits:
 
 
 def dimension_of(unit: str, definitions: Mapping[str, UnitDefinition]) -> Dimension | None:
-    """Return the dimension of a unit by an FMU's definition, or by its text.
+    """Return the dimension of a unit from its definition in an FMU, or from its text.
 
-    Where both are known and contradict each other in more than an angle, which tools often leave
-    out, nothing is known.
+    If both are known and differ in more than the angle, return None. Tools often leave out the
+    angle.
     """
     by_text = _dimension_of_text(unit)
     definition = definitions.get(unit)
@@ -129,7 +129,7 @@ def dimension_of(unit: str, definitions: Mapping[str, UnitDefinition]) -> Dimens
 
 
 LONGEST_UNIT = 60
-"""Signs of a unit's text; what is longer is none."""
+"""Largest number of characters in a unit; a longer text is not a unit."""
 SPELLINGS = {
     "°C": "degC", "℃": "degC", "°F": "degF", "°": "deg", "Ω": "ohm", "\u2126": "ohm",
     "\u00b5": "u", "\u03bc": "u", "·": "*", "\u22c5": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1",
@@ -149,13 +149,13 @@ KNOWN_NAMES = frozenset({
     "siemens", "farad", "henry", "coulomb", "ampere_hour", "weber", "tesla", "liter", "percent",
     "ppm", "knot", "kilometer_per_hour", "mile_per_hour", "poise", "stokes", "dimensionless",
 })  # fmt: skip
-"""Units that measurements come in; pint knows more, and reads "pu" as a tiny mass."""
+"""Units of measurements. pint knows more units, and reads "pu" as a very small mass."""
 ANGLES = frozenset({"radian", "degree", "revolution", "turn", "revolutions_per_minute"})
-"""For pint an angle is a plain number."""
+"""Units of angles, which pint treats as dimensionless."""
 RELATIVE = frozenset({"degree_Celsius", "degree_Fahrenheit"})
-"""Those whose 0 is not that of the quantity."""
+"""Units in which 0 is not 0 of the quantity."""
 AMBIGUOUS = re.compile(r"\b(C|F|pH)\b")
-"""For pint coulomb, farad and picohenry; but people write Celsius, Fahrenheit and acidity so."""
+"""Texts that pint reads as coulomb, farad and picohenry, but that may mean °C, °F and acidity."""
 _EXPONENT = re.compile(r"(?<=[A-Za-z%)])(-?\d+)")
 _POINT = re.compile(r"(?<=[A-Za-z)\d])\.(?=[A-Za-z(])")
 _ALLOWED = re.compile(r"[\w*/(). +\-%]*", re.ASCII)
@@ -164,9 +164,9 @@ _TOO_MUCH = re.compile(r"\d{4}|\*\*\s*-?[\d.]+\s*\*\*|\*\*\s*\(")
 
 @lru_cache(maxsize=1024)
 def _dimension_of_text(unit: str) -> Dimension | None:
-    """The dimension of "m/s2", "rad/s", "degC", "W/(m2.K)"; None of what says nothing.
+    """Return the dimension of a unit such as "m/s2", "degC" or "W/(m2.K)"; None if it is unknown.
 
-    "1" and "%" are numbers; an empty text may mean anything, so it says nothing.
+    "1" and "%" are dimensionless. An empty text may mean anything, so its dimension is unknown.
     """
     text = unit.strip()
     if not text or len(text) > LONGEST_UNIT:
@@ -184,7 +184,7 @@ def _dimension_of_text(unit: str) -> Dimension | None:
             (registry.parse_unit_name(name)[0][1], float(str(own)))
             for name, own in found._units.items()
         ]
-    except Exception:  # what is no unit may fail in any part of pint's parser
+    except Exception:  # a text that is not a unit may fail in any part of pint's parser
         return None
     names = {name for name, _ in parts}
     if not names <= KNOWN_NAMES:
@@ -195,7 +195,7 @@ def _dimension_of_text(unit: str) -> Dimension | None:
 
 
 def _spelled(unit: str) -> str:
-    """A unit as pint writes it."""
+    """Return a unit in the notation of pint."""
     for sign, usual in SPELLINGS.items():
         unit = unit.replace(sign, usual)
     unit = _EXPONENT.sub(r"**\1", _POINT.sub("*", unit))
@@ -204,7 +204,7 @@ def _spelled(unit: str) -> str:
 
 @cache
 def _registry() -> pint.UnitRegistry[float]:
-    """All that pint knows."""
+    """Return the unit registry of pint."""
     import pint
 
     return pint.UnitRegistry()

@@ -1,4 +1,4 @@
-"""Tables for notebooks, `print` and pandas; times, probabilities and lists as one writes them."""
+"""Tables for notebooks, `print` and pandas; readable times, probabilities and lists."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOST_PRINTED_ROWS = 50
-"""Rows of a table; how many more there are is said."""
+"""Largest number of printed rows of a table; the number of further rows follows it."""
 
 _CELL = "text-align:left;padding:0.15em 0.8em 0.15em 0"
 
 
 @dataclass(frozen=True)
 class DisplayTable:
-    """A titled table; numbers are shown to six digits, NaN as nothing."""
+    """A table with a title; numbers have six digits, and NaN is an empty cell."""
 
     title: str
     head: tuple[str, ...]
@@ -31,9 +31,9 @@ class DisplayTable:
 
 
 def section(title: str, *tables: DisplayTable) -> str:
-    """Tables under a title as HTML. Every text is escaped: names come from files.
+    """Return tables under a title as HTML; all texts are escaped, because names come from files.
 
-    No colour is set, so it reads in light and dark notebooks alike.
+    It sets no colours, so it is readable in light and dark notebooks.
     """
     parts = "".join(_table(table) for table in tables if table.rows)
     return f"<div><p><strong>{html.escape(title)}</strong></p>{parts}</div>"
@@ -49,7 +49,7 @@ def plain(title: str, *tables: DisplayTable) -> str:
 
 
 def as_frame(table: pa.Table) -> pd.DataFrame:
-    """Return a table as a frame of pandas.
+    """Return a table as a pandas DataFrame.
 
     Raises
     ------
@@ -101,11 +101,11 @@ NO_ALTERNATIVE = (
     "if the rest of the model were exact, this would be very strong evidence against all other "
     "candidates"
 )
-"""What is said of an effect without alternatives; a criterion takes models for exact."""
+"""Remark on an effect without alternatives; an information criterion assumes exact models."""
 
 
 def readable_time(seconds: float) -> str:
-    """Write a time in the unit in which it is easy to read: "3.2 s", "4.5 min", "24 h", "3 d"."""
+    """Return a time in a readable unit: "3.2 s", "4.5 min", "24 h" or "3 d"."""
     for unit, size, most in (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 172_800.0)):
         if seconds < most:
             return f"{seconds / size:.3g} {unit}"
@@ -113,12 +113,12 @@ def readable_time(seconds: float) -> str:
 
 
 def percent(probability: float) -> str:
-    """Write a probability in percent, with no more certainty than it has."""
+    """Return a probability in percent; never 0 % or 100 %."""
     if probability > 0.99:
         return "more than 99 %"
     return "less than 1 %" if probability < 0.01 else f"{100.0 * probability:.0f} %"
 
 
 def in_a_row(words: Sequence[str]) -> str:
-    """Write words with commas, and "and" before the last one."""
+    """Return words separated by commas, with "and" before the last word."""
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]

@@ -15,25 +15,25 @@ from cluster_est.problem.priors import LogNormalPrior, NormalPrior, Prior
 from workers.messages.checks import shown
 
 QUANTILES = np.linspace(0.0, 1.0, 2002)[1:-1]
-"""Of the distribution, between which its mode is looked for."""
+"""Quantiles of the distribution, between which its mode is searched for."""
 DERIVATIVE_STEP = 1e-4
-"""Of derivatives of ln p, over the distance between the quartiles."""
+"""Step of finite differences of ln p, over the distance between the quartiles."""
 FARTHEST = 1e3
-"""Residual where the density is 0: a search needs a finite one."""
+"""Residual if the density is 0, because a search needs a finite residual."""
 
 
 @dataclass(frozen=True)
 class DistributionPrior(Prior):
     """A prior with the density p of a continuous distribution that has one mode.
 
-    residual = sign(x - mode) sqrt(2 ln(p(mode) / p(x))), so that half its square is -ln p but for a
-    constant and the estimate is the most probable value. It is that of `NormalPrior` where p is
-    normal.
+    residual = sign(x - mode) sqrt(2 ln(p(mode) / p(x))). Half of its square is -ln p plus a
+    constant, so the estimate is the most probable value. For a normal p, the residual is that of
+    `NormalPrior`.
 
     Attributes
     ----------
     distribution
-        Frozen, of `scipy.stats`.
+        A frozen distribution of `scipy.stats`.
     """
 
     name: ClassVar[str] = "distribution"
@@ -57,7 +57,7 @@ class DistributionPrior(Prior):
             return float(self.distribution.logpdf(value))
 
     def _bend(self, steps: float) -> float:
-        """Minus the second derivative of ln p at its mode; infinite or NaN where it has none."""
+        """Return minus the second derivative of ln p at the mode; infinite or NaN if undefined."""
         step = steps * DERIVATIVE_STEP * self._spread
         sides = self._log(self.centre + step) + self._log(self.centre - step)
         return max(2.0 * self._log(self.centre) - sides, 1e-300) / step**2
@@ -122,15 +122,15 @@ class DistributionPrior(Prior):
 
 
 def as_prior(given: Any, where: str) -> Any:
-    """Return a prior of a frozen distribution of SciPy; anything else as it is, to be refused.
+    """Return a frozen distribution of SciPy as a prior; return anything else unchanged.
 
-    Normal and log-normal distributions are those of a config; the mode of the latter is that of the
-    logarithm, see `LogNormalPrior`.
+    A normal distribution gives a `NormalPrior`, and a log-normal distribution a `LogNormalPrior`,
+    whose mode is that of the logarithm.
 
     Raises
     ------
     ProblemError
-        If it is discrete, or its density has no single mode.
+        If the distribution is discrete, or its density does not have exactly one mode.
     """
     kind = getattr(getattr(given, "dist", None), "name", None)
     if isinstance(given, Prior) or kind is None or not hasattr(given, "support"):

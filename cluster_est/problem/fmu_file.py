@@ -1,4 +1,4 @@
-"""A model from the file of an FMU."""
+"""Reads a model from an FMU file."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ def read_model(
     working_folder: str = "",
     stop_time: bool | None = None,
 ) -> Model:
-    """Read an FMU, with the defaults of a config.
+    """Read a model from an FMU file, with the default settings of a config.
 
     Parameters
     ----------
     path
-        Of the FMU.
+        Path of the FMU.
     interface
-        "auto" prefers model exchange.
+        Interface of the FMU; "auto" prefers model exchange.
     solver
         A solver or its name; "auto" is "dormand_prince" for model exchange, else "fmu".
     structure
         Structural parameters (FMI 3) that differ from their start values.
     reset
-        The state that every simulation begins with; see `Model.reset`.
+        Initial state of every simulation; see `Model.reset`.
     environment, working_folder
-        What the FMU finds around it in its process; see `Model`.
+        Environment variables and working folder of the FMU's process; see `Model`.
     stop_time
         Whether the FMU is told when a simulation will end; see `Model`.
 
     Raises
     ------
     ModelError
-        If it cannot be read, or does not offer what is wanted.
+        If the FMU cannot be read, or the interface or the solver is invalid.
     """
     path = as_path(path, "model.fmu", ModelError)
     try:
@@ -79,9 +79,9 @@ def read_model(
 
 
 def choose_interface(wanted: str, offered: tuple[Interface, ...]) -> Interface:
-    """Return the interface that is wanted; "auto" prefers model exchange.
+    """Return the wanted interface; "auto" prefers model exchange.
 
-    That the FMU offers it is checked when a problem is described.
+    `Problem.describe` checks whether the FMU offers it.
     """
     check_choice(wanted, ("auto", *get_args(Interface)), "model.interface", ModelError)
     if wanted == "auto":

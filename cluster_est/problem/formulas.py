@@ -1,6 +1,6 @@
-"""Formulas in parameters: what ties one parameter to others, and constraints on them.
+"""Formulas of parameters: expressions that compute a parameter from others, and constraints.
 
-They are parsed, never run as Python.
+The texts are parsed and never run as Python code.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ LARGEST_FORMULA_NUMBER = 1e300
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula such as "2 * k1 + exp(-c)", made ready for arrays.
+    """A formula such as "2 * k1 + exp(-c)", which can be evaluated for arrays.
 
     Attributes
     ----------
     text
-        Numbers, parameters, + - * / ^ and the functions that equations of effects may call.
+        Numbers, parameters, + - * / ^ and the functions allowed in equations of effects.
     known
-        Names of the parameters that it may mention.
+        Names of the parameters that the formula may contain.
     where
-        Opens the message if something is wrong.
+        Start of error messages.
 
     Raises
     ------
     ProblemError
-        If it cannot be read.
+        If the text is not a valid formula.
     """
 
     text: str
@@ -57,7 +57,7 @@ class Formula:
         check_text(self.text, self.where, ProblemError)
         known = as_tuple(self.known, str, f"{self.where}.known", ProblemError)
         object.__setattr__(self, "known", known)
-        self.names  # noqa: B018 - what is wrong is said at once
+        self.names  # noqa: B018 - raises errors immediately
 
     @cached_property
     def _parsed(self) -> tuple[tuple[str, ...], Callable[..., Any]]:
@@ -87,18 +87,18 @@ class Formula:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters that it mentions."""
+        """The names of the parameters in the formula."""
         return self._parsed[0]
 
     def values(self, columns: Mapping[str, FloatArray], size: int) -> FloatArray:
-        """(size,) values from (size,) values of each parameter; NaN where it has none."""
+        """Return values (size,) from values (size,) of each parameter; NaN if undefined."""
         names, function = self._parsed
         with np.errstate(all="ignore"):
             found = function(*(columns[name] for name in names))
             return np.broadcast_to(np.asarray(found, np.float64), (size,)).copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A compiled formula cannot be pickled; its text can."""
+        """Pickle the text, because a compiled formula cannot be pickled."""
         return Formula, (self.text, self.known, self.where)
 
 
@@ -109,18 +109,19 @@ class ParameterConstraint:
     Attributes
     ----------
     name
-        What tables call it.
+        Name of the constraint in tables.
     formula
-        Where it has parameters with a value for each experiment, it must hold in each.
+        The formula. If it contains parameters with one value per experiment, the constraint must
+        hold in each experiment.
     equality
-        Whether it must be 0.
+        Whether the formula must be 0.
     scale
-        What a violation is counted in.
+        Unit in which a violation is measured.
 
     Raises
     ------
     ProblemError
-        If the formula is none, or the scale not positive.
+        If `formula` is not a `Formula`, or the scale is not positive.
     """
 
     name: str
@@ -140,12 +141,12 @@ class ParameterConstraint:
 def parse_constraint(
     text: str, known: Sequence[str], where: str, name: str = "", scale: float = 1.0
 ) -> list[ParameterConstraint]:
-    """Read "mu_d <= mu_s", "a + b = 1" or "0 <= x - y <= 1" as constraints.
+    """Parse a text such as "mu_d <= mu_s", "a + b = 1" or "0 <= x - y <= 1" as constraints.
 
     Raises
     ------
     ProblemError
-        If it has no comparison, or one of its sides cannot be read.
+        If the text has no comparison or no parameter, or one of its sides is not a formula.
     """
     parts, signs = _sides(text)
     if not 2 <= len(parts) <= 3 or not all(part.strip() for part in parts):
@@ -158,7 +159,7 @@ def parse_constraint(
         falling = sign in (">=", ">")
         low, high = (right, left) if falling else (left, right)
         for side in (left, right):
-            Formula(side, tuple(known), where)  # what is wrong is said in the user's own words
+            Formula(side, tuple(known), where)  # an error message then shows the user's text
         formula = Formula(f"({low}) - ({high})", tuple(known), where)
         if not formula.names:
             raise ProblemError(
@@ -173,7 +174,7 @@ def parse_constraint(
 
 
 def _sides(text: str) -> tuple[list[str], list[str]]:
-    """Cut a text at the comparisons that stand outside of parentheses."""
+    """Split a text at the comparison signs outside of parentheses."""
     parts, signs, depth, begin = [], [], 0, 0
     i = 0
     while i < len(text):

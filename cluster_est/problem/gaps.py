@@ -1,8 +1,8 @@
-"""Splits records at gaps: the part after a gap becomes an experiment of its own.
+"""Splits records at gaps: the part after a gap becomes a separate experiment.
 
-If a model cannot be simulated through a gap, the part after the gap becomes an experiment with the
-record's parameters and its own initial states, which are also estimated. If a state cannot be set,
-the part after the gap is left out.
+This is done if a model cannot be simulated through a gap. The part after the gap has the record's
+parameters and its own initial states, which are also estimated. If a state cannot be set, the part
+after the gap is left out.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def _parts(
 
 
 def _needs_whole(experiment: Experiment) -> str:
-    """Say what prevents a split because it refers to the whole record; "" for nothing."""
+    """Return what refers to the whole record and so prevents a split; "" for nothing."""
     there = {
         "a curve": experiment.curve is not None,
         "a cost function": experiment.cost_function is not None,

@@ -1,4 +1,4 @@
-"""A cost as Python may give it: an object, a name as in a config, or a function of residuals."""
+"""Costs from Python: an object, a name as in a config, or a function of the residuals."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from workers.messages.checks import shown
 
 @dataclass(frozen=True)
 class FunctionCost(Cost):
-    """F = function(residuals), of all residuals of all training experiments.
+    """F = function(residuals), with the residuals of all training experiments.
 
-    It runs in the process that searches, so that it may be a lambda or hold anything. Nothing is
-    known of its derivatives by the residuals: `sqp`, `pattern_search`, `nelder_mead` and the
-    populations minimise it, least squares cannot.
+    The function runs in the process of the search, so it may be a lambda. Its derivatives are not
+    known. So use `sqp`, `pattern_search`, `nelder_mead` or a population method, and not a
+    least-squares method.
 
     Attributes
     ----------
     function
-        Of an array (residuals,), each (measured - simulated) / sigma, returning one number.
+        A function of an array (residuals,) that returns one number. Each residual is
+        (measured - simulated) / sigma.
     """
 
     name: ClassVar[str] = "function"
@@ -53,12 +54,12 @@ class FunctionCost(Cost):
 
 
 def as_cost(given: Any) -> Any:
-    """Return a cost of a name or of a function; anything else as it is, for others to refuse.
+    """Return the cost for a name or a function; return anything else unchanged.
 
     Raises
     ------
     ProblemError
-        If there is no cost of that name.
+        If there is no cost with this name.
     """
     if isinstance(given, str):
         name = COST_ALIASES.get(given, given)

@@ -97,7 +97,7 @@ def _kept(outputs: Sequence[Output], kept: Sequence[npt.NDArray[np.bool_]]) -> t
 
 
 def _learning(held_out: Sequence[Output], train: Sequence[Output]) -> tuple[Output, ...]:
-    """Let held-out outputs take what they learn from data (such as a scale) from training data."""
+    """Return held-out outputs with references to the training data, such as for free scales."""
     return tuple(
         replace(own, reference=before) if own.learns and len(before.times) else own
         for own, before in zip(held_out, train, strict=True)

@@ -1,4 +1,4 @@
-"""A value to estimate."""
+"""Parameters: the values to estimate."""
 
 from __future__ import annotations
 

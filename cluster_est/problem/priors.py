@@ -1,4 +1,4 @@
-"""Priors: what is known of a parameter before the measurements counts like one more measurement.
+"""Priors: knowledge of a parameter before the measurements, which counts like a measurement.
 
 A new prior is a subclass of `Prior` and a line in `PRIORS`, at the end.
 """
@@ -18,16 +18,16 @@ from workers.messages.checks import check_number
 
 
 class Prior(ABC):
-    """What is known of a parameter before the measurements.
+    """Knowledge of a parameter before the measurements.
 
-    A prior is normal in some function of the value, so that it counts in a sum of squares like a
-    measurement of that: by residual(value)^2. The derivatives of its residual need no simulation.
+    A prior is a normal distribution of a function of the value. So it adds residual(value)^2 to a
+    sum of squares, like a measurement of this function. Its derivatives need no simulation.
 
     A subclass is a frozen dataclass whose fields are the keys of a config.
     """
 
     name: ClassVar[str]
-    """As a config names it."""
+    """Name of the prior in a config."""
 
     def __init_subclass__(cls) -> None:
         check_class_attributes(cls)
@@ -39,7 +39,7 @@ class Prior(ABC):
 
     @abstractmethod
     def residual(self, value: float) -> float:
-        """How far a value lies from the centre, in standard deviations, with its sign."""
+        """Return the signed distance of a value from the centre, in standard deviations."""
 
     @abstractmethod
     def slope(self, value: float) -> float:
@@ -47,21 +47,21 @@ class Prior(ABC):
 
     @abstractmethod
     def log_density(self, value: float) -> float:
-        """Return ln p(value), but for a constant: of the value itself, whatever is normal."""
+        """Return ln p(value) up to a constant; p is the density of the value itself."""
 
     @abstractmethod
     def said(self) -> str:
-        """Return it in words, for messages: "normal, 2 +- 0.1"."""
+        """Return the prior as a text for messages, such as "normal, 2 +- 0.1"."""
 
     def check(self, where: str, start: float, lower: float, upper: float) -> None:
-        """Refuse a prior that does not go with the start and the bounds of its parameter.
+        """Refuse a prior that contradicts the start value or the bounds of its parameter.
 
         Raises
         ------
         ProblemError
-            With what to change.
+            If the prior contradicts the start value or the bounds.
         """
-        del start  # a prior may ask more of it
+        del start  # subclasses may check it
         if not lower <= self.centre <= upper:
             raise ProblemError(
                 f"{where}.prior: must have its centre within the bounds [{lower:g}, {upper:g}], "
@@ -71,15 +71,15 @@ class Prior(ABC):
 
 @dataclass(frozen=True)
 class NormalPrior(Prior):
-    """A value that is known within a standard deviation, as from a data sheet.
+    """A value that is known with a standard deviation, for example from a data sheet.
 
-    residual = (value - mean) / sd. Between the bounds alone it is a truncated normal density; the
-    constant by which that differs does not move the minimum.
+    residual = (value - mean) / sd. With bounds, the density is a truncated normal density. It
+    differs by a constant factor, which does not change the minimum.
 
     Attributes
     ----------
     mean, sd
-        In the parameter's unit.
+        Mean and standard deviation in the parameter's unit.
     """
 
     name: ClassVar[str] = "normal"
@@ -114,7 +114,7 @@ class NormalPrior(Prior):
 
 
 SMALLEST_PRIOR_VALUE = 1e-300
-"""Stands for a value of 0, at a lower bound: a search needs a finite residual there."""
+"""Replaces a value of 0 at a lower bound, because a search needs a finite residual there."""
 
 
 @dataclass(frozen=True)
@@ -122,15 +122,15 @@ class LogNormalPrior(Prior):
     """A positive value that is known within a factor, such as a friction or a heat transfer.
 
     residual = ln(value / median) / ln(factor): 68 % of the probability lies between median / factor
-    and median * factor. The density is that of the logarithm of the value, so that its mode is the
-    median, whatever the parameter's scale is.
+    and median * factor. The density is that of the logarithm of the value. So its mode is the
+    median, for every scale of the parameter.
 
     Attributes
     ----------
     median
-        In the parameter's unit.
+        Median in the parameter's unit.
     factor
-        Above 1.
+        Factor of one standard deviation; above 1.
     """
 
     name: ClassVar[str] = "lognormal"

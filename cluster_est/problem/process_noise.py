@@ -45,7 +45,7 @@ def without_noise(problem: Problem) -> Problem:
 
 
 def process_noise_notes(problem: Problem) -> tuple[str, ...]:
-    """Say what errors mean if there is process noise."""
+    """Return a note on the meaning of errors if there is process noise."""
     names = noise_names(problem)
     return (FILTERED.format(names=", ".join(names)),) if names else ()
 
@@ -53,7 +53,7 @@ def process_noise_notes(problem: Problem) -> tuple[str, ...]:
 def vanished_noise(
     problem: Problem, values: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[str, ...]:
-    """Say which noise strengths ended at their lower bound, and what this means.
+    """Return notes on noise strengths that ended at their lower bound.
 
     Parameters
     ----------

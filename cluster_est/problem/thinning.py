@@ -1,9 +1,9 @@
-"""Long records as short ones: what a model's time constants and the noise ask for, and no more.
+"""Thins long records to as few rows as the model's time constants and the noise require.
 
-The outputs of a record are filtered and decimated (`statistics/block_fits.py`), with the noise that
-is left in each value; where they move fast, as after a jump of an input, rows become denser, down
-to those that were measured. A sum of squares of what is slow stays as it is, so that a search goes
-the way that it goes on all rows. Inputs keep their course, with as many samples as that needs.
+The outputs are filtered and decimated (`statistics/block_fits.py`), with the noise that remains in
+each value. If an output changes fast, as after a jump of an input, its rows are denser, up to all
+measured rows. The sum of squares of slow deviations is preserved, so a search takes the same path
+as with all rows. The inputs are described by fewer samples.
 """
 
 from __future__ import annotations
@@ -35,50 +35,50 @@ from workers.fmu.description import describe_model
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 
 MOST_ROWS = 2000
-"""Rows that "auto" leaves of each output, unless it needs more to be followed in time; and at most
-as many again where they are dense."""
+"""Rows of each output that "auto" keeps, unless an output needs more; dense windows may add as many
+rows again."""
 
 FEWEST = 0.25
-"""Share of those rows that even blocks begin with, whose length is halved until they are short."""
+"""Share of these rows that the first, longest blocks give; blocks are then halved as necessary."""
 
 LONG = 1.5
-"""Times as many rows that a record has at least to be thinned."""
+"""Least number of rows of a record that is thinned, over the wanted number of rows."""
 
 IN_PARTS = 2
-"""Times as many rows as are wanted, above which a thinned record is looked at in a part of so many:
-it shows many hundreds of a model's time constants, and each trial would simulate them all."""
+"""Number of rows of a thinned record, over the wanted number, above which only a part of it is used
+at first. Such a record covers many hundreds of time constants, which each trial would simulate."""
 
 MOST_BENT = 1.3
-"""Mean square of the fourth coefficient, over that in blocks half as long: where these were too
-long it is up to 512. The error of a value is then below 0.4 of its noise."""
+"""Largest mean square of the fourth coefficient, over that in blocks half as long. For blocks that
+are too long, it is up to 512. Below this limit, the error of a value is below 0.4 of its noise."""
 
 OF_SLOW_NOISE = 4.0
-"""The most that this quotient is for noise of first order, in blocks of any length: its spectrum
-falls with the square of the frequency. Where it is larger in shorter blocks too, noise is slow, and
-the quotient may be that of these times as much."""
+"""Largest value of this quotient for first-order noise, whose spectrum falls with the square of the
+frequency. If the quotient of shorter blocks also exceeds 1, the noise is slow. The limit is then
+multiplied by that quotient, up to this value."""
 
 BY_CHANCE = 6.0
-"""Two standard errors of that quotient, times the root of the number of blocks."""
+"""Two standard errors of that quotient, times the square root of the number of blocks."""
 
 MOST_LEFT = 0.7
-"""Share of the rows that may be left; where more would be, all are."""
+"""Largest share of the rows after thinning; if more would remain, all rows are kept."""
 
 COLOURED = 1.3
-"""Variance of slow noise, over that of all noise within a block, from which it counts as slow."""
+"""Least variance of the fourth coefficient of coloured noise, over the variance within blocks."""
 
 FAST = 5.0
-"""Variance within blocks, over that which no prediction explains, from which it is a signal that
-changes within a block and no noise; of coloured noise it is below 2."""
+"""Variance within blocks, over the variance of prediction errors, above which the signal itself
+changes within a block. For coloured noise, this quotient is below 2."""
 
 NOISY = 0.75
-"""Share of the blocks with less noise than what an output has: it may be silent while it rests."""
+"""Quantile of the blocks' variances that is the noise of an output; at rest it may have none."""
 
 MOST_COMPARED = 1000
-"""Blocks of a length from which their curvature is told."""
+"""Approximate largest number of blocks that are used to compare block lengths."""
 
 
 class ThinningSettings(Settings):
-    """Rows of long records that a step is done on."""
+    """Number of rows of long records that a step uses."""
 
     section: ClassVar[str] = "thinning"
 
@@ -90,9 +90,9 @@ class ThinningSettings(Settings):
     )
 
     def most(self, *, auto: bool = True) -> int | None:
-        """Return how many rows a record may have; None for as many as it has.
+        """Return the largest number of rows of a record; None for no limit.
 
-        `auto` is whether "auto" means that records are thinned.
+        `auto` is whether "auto" thins records.
         """
         if isinstance(self.rows, int):
             return self.rows
@@ -101,14 +101,14 @@ class ThinningSettings(Settings):
 
 @dataclass(frozen=True)
 class Fineness:
-    """What a thinned record may be off by.
+    """Accuracy of a thinned record.
 
     Attributes
     ----------
     tolerance
-        Of the inputs, over the range of each; 0 for all of their samples.
+        Tolerance of the inputs, over the range of each input; 0 keeps all samples.
     shorter
-        What the length of blocks is divided by.
+        Divisor of the length of blocks.
     """
 
     tolerance: float = 3e-3
@@ -116,7 +116,7 @@ class Fineness:
 
 
 WHOLE_INPUTS = Fineness(tolerance=0.0)
-"""What is simulated is what all rows would be compared with."""
+"""Inputs with all of their samples, so the simulation is that of the whole record."""
 
 FINENESS = (
     Fineness(),
@@ -125,7 +125,7 @@ FINENESS = (
     WHOLE_INPUTS,
     replace(WHOLE_INPUTS, shorter=2),
 )
-"""Ways to thin, the coarsest first."""
+"""Levels of accuracy, the coarsest first."""
 
 
 @dataclass(frozen=True)
@@ -135,19 +135,20 @@ class ThinnedProblem:
     Attributes
     ----------
     whole
-        With all rows.
+        The problem with all rows.
     problem
-        With as many experiments as before, of the same names.
+        The thinned problem, with the same experiments.
     rows
-        For each experiment and output, what makes its values of those that were measured; None for
-        an output that is as it was.
+        For each experiment and output, the matrix that computes its values from the measured
+        values; None for an output that is not thinned.
     sentence
-        What was done; "" if nothing was.
+        What was thinned, for the user; "" if nothing was.
     noise
-        The most that the standard deviation of the noise of measured rows may be, by output: that
-        of what polynomials leave within blocks, in training experiments.
+        Upper limit of the standard deviation of the noise of measured rows, by output. It comes
+        from the residuals of polynomials in blocks of training experiments.
     within
-        The least that it is: what of it changes within a block. Of slow noise that is little.
+        Lower limit of this standard deviation: that of the noise within a block. It is small for
+        slow noise.
     """
 
     whole: Problem
@@ -163,7 +164,7 @@ class ThinnedProblem:
 
     @property
     def thinned_outputs(self) -> frozenset[tuple[int, str]]:
-        """Indices of experiments, with the outputs whose rows are made of many samples."""
+        """Pairs (index of the experiment, output) of the thinned outputs."""
         return frozenset(
             (e, output.variable)
             for e, (run, own) in enumerate(zip(self.problem.experiments, self.rows, strict=True))
@@ -175,19 +176,19 @@ class ThinnedProblem:
 def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None) -> ThinnedProblem:
     """Thin the long records of a problem.
 
-    Records of up to `LONG` times as many rows stay as they are, and so does everything with process
-    noise, whose filter counts steps, or with residuals that are no differences at measured times.
-    In co-simulation rows are at times of samples, which are communication points, and inputs stay
-    too where the FMU cannot vary its communication step.
+    Records with up to `LONG` times as many rows are not changed. Problems with process noise are
+    not changed, because the filter depends on the steps. Neither are problems with residuals other
+    than differences at measured times. In co-simulation, rows are at times of samples, which are
+    communication points. Inputs are then kept if the FMU has a fixed communication step.
 
     Parameters
     ----------
     problem
-        With records that have no outliers.
+        A problem whose records have no outliers.
     most
-        Rows that are left of each output; None leaves all.
+        Wanted number of rows of each output; None keeps all rows.
     fineness
-        What may be lost.
+        Accuracy of the thinned records.
     """
     nothing = tuple((None,) * len(e.outputs) for e in problem.experiments)
     plain = problem.plain and all(o.is_plain for e in problem.experiments for o in e.outputs)
@@ -212,12 +213,12 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
 
 
 def rows_of(experiment: Experiment) -> int:
-    """Return the number of rows of the output that has the most."""
+    """Return the largest number of rows of an output."""
     return max((len(output.times) for output in experiment.outputs), default=0)
 
 
 def looked_at_in_parts(problem: Problem, most: int | None) -> list[int]:
-    """Return the training experiments that still have so many rows that a part of each will do."""
+    """Return the training experiments with so many rows that a part of each is sufficient."""
     if most is None:
         return []
     runs = problem.experiments
@@ -226,12 +227,12 @@ def looked_at_in_parts(problem: Problem, most: int | None) -> list[int]:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Where the rows of some outputs come from: blocks, and single samples.
+    """The blocks and the single samples from which the rows of some outputs are computed.
 
     Attributes
     ----------
     values
-        That a block leaves: one of coloured noise.
+        Number of rows per block; 1 for coloured noise.
     """
 
     blocks: IntArray
@@ -245,16 +246,16 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _BlockLength:
-    """How long blocks of outputs that were measured together may be; 0 for no blocks.
+    """The length of blocks of outputs that were measured at the same times; 0 for no blocks.
 
     Attributes
     ----------
     own, times
-        Which outputs, and when they were measured.
+        Indices of the outputs, and their times.
     stretches : (s, 2)
-        Samples between the jumps of inputs.
+        Ranges of samples between the jumps of inputs.
     coloured
-        Whether the noise of each seems to be.
+        Whether the noise of each output is probably coloured.
     """
 
     own: list[int]
@@ -266,7 +267,7 @@ class _BlockLength:
 
 @dataclass(frozen=True)
 class _ThinnedOutput:
-    """An output at its rows, what makes them, and its noise as variances: all, and in blocks."""
+    """A thinned output, its matrix, and two variances of its noise: total, and within blocks."""
 
     output: Output
     matrix: csr_array = field(repr=False)
@@ -284,14 +285,14 @@ class _Thinning:
     fineness: Fineness
 
     def lengths(self) -> list[_BlockLength]:
-        """Return the length of blocks of the outputs that are measured together."""
+        """Return the length of blocks for each group of outputs with the same times."""
         groups = _of_equal_times(self.experiment.outputs)
         return [self._length(times, own) for times, own in groups]
 
     def run(
         self, lengths: Sequence[_BlockLength], coloured: Collection[str]
     ) -> tuple[Experiment, tuple[_ThinnedOutput | None, ...]]:
-        """Thin outputs of white and of coloured noise apart, and the inputs."""
+        """Thin the outputs, separately for white and coloured noise, and the inputs."""
         experiment = self.experiment
         made: list[_ThinnedOutput | None] = [None] * len(experiment.outputs)
         for group, colour in product(lengths, (False, True)):
@@ -315,16 +316,16 @@ class _Thinning:
 
     @property
     def _exchanged(self) -> bool:
-        """Times of rows are free; in co-simulation they are communication points."""
+        """Whether rows may be at any time; in co-simulation, they are communication points."""
         return self.problem.model.interface == "model_exchange"
 
     @property
     def _any_step(self) -> bool:
-        """Co-simulation may go in longer steps, from one sample of thinned inputs to the next."""
+        """Whether the FMU allows communication steps between the samples of thinned inputs."""
         return describe_model(self.problem.model).variable_steps
 
     def _rows(self, group: _BlockLength, *, coloured: bool) -> _Rows | None:
-        """Choose the rows of some outputs; None where all are kept."""
+        """Choose the rows of some outputs; None if all are kept."""
         if not group.length:
             return None
         stretches, times = group.stretches, group.times
@@ -341,16 +342,17 @@ class _Thinning:
         return found if found.count < MOST_LEFT * len(times) else None
 
     def _stretches(self, times: FloatArray) -> IntArray:
-        """Samples between the jumps of inputs, (s, 2)."""
+        """Return the ranges of samples between the jumps of inputs: (s, 2)."""
         jumps = [jump_times(given) for given in self.experiment.inputs]
         at = np.searchsorted(times, np.concatenate([np.zeros(0), *jumps]), side="right")
         edges = np.unique(np.concatenate([[0], at, [len(times)]]))
         return np.column_stack([edges[:-1], edges[1:]])
 
     def _length(self, times: FloatArray, own: list[int]) -> _BlockLength:
-        """Find the length of blocks that the signals allow.
+        """Find the largest length of blocks for some outputs.
 
-        Noise is coloured where it bends in blocks of a third of that length: a signal does not.
+        Noise is coloured if the fourth coefficient is large in blocks of a third of this length.
+        A signal has no such coefficient there.
         """
         if len(times) <= LONG * self.most:
             return _BlockLength(own, times, 0)
@@ -371,7 +373,7 @@ class _Thinning:
     def _short_enough(
         self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
     ) -> bool:
-        """Return whether blocks are so short that parabolas follow what is no noise."""
+        """Return whether parabolas follow the signals in blocks of this length."""
         if length < SHORTEST_BLOCK:
             return True
         for y in signals:
@@ -390,7 +392,7 @@ class _Thinning:
         return True
 
     def _driven(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with inputs and signals of as few samples as they need."""
+        """Return the experiment with fewer samples of inputs and signals."""
         knots = np.unique(np.concatenate([o.times for o in experiment.outputs]))
         holds = describe_model(self.problem.model).holds
         changed = {
@@ -408,7 +410,7 @@ class _Thinning:
             times, values = without_repeats(times, values)
             if held or len(times) < self.most or not self.fineness.tolerance:
                 return replace(given, times=times, values=values)
-            # the course of steps without order is that of lines through their middles
+            # lines through the middles of the steps approximate steps at all times
             times, kind = np.append(times[:1], 0.5 * (times[1:] + times[:-1])), "linear"
             values = np.append(values[:1], values[:-1])
         if held or len(times) <= len(knots) or not self.fineness.tolerance:
@@ -418,7 +420,7 @@ class _Thinning:
 
 
 def _mostly_coloured(problem: Problem, looked: Sequence[Sequence[_BlockLength]]) -> set[str]:
-    """Return the outputs whose noise is coloured in most of the records that are thinned."""
+    """Return the outputs whose noise is coloured in most of the thinned records."""
     votes: dict[str, list[bool]] = {}
     for run, groups in zip(problem.experiments, looked, strict=True):
         for group in (each for each in groups if each.length):
@@ -428,7 +430,7 @@ def _mostly_coloured(problem: Problem, looked: Sequence[Sequence[_BlockLength]])
 
 
 def _of_equal_times(outputs: Sequence[Output]) -> Iterator[tuple[FloatArray, list[int]]]:
-    """Give the times of outputs, and which were measured at these."""
+    """Yield each set of times, and the indices of the outputs measured at these times."""
     found: dict[bytes, list[int]] = {}
     for i, output in enumerate(outputs):
         found.setdefault(output.times.tobytes(), []).append(i)
@@ -441,12 +443,12 @@ def _long(blocks: IntArray) -> IntArray:
 
 
 def _some(blocks: IntArray) -> IntArray:
-    """Some of the blocks, evenly spread: enough for a median."""
+    """Return some evenly spread blocks, enough for a median."""
     return _long(blocks)[:: 1 + len(blocks) // MOST_COMPARED]
 
 
 def _single(blocks: IntArray) -> IntArray:
-    """The samples of some blocks, one by one."""
+    """Return the indices of all samples in some blocks."""
     parts = [np.arange(first, last) for first, last in blocks.tolist()]
     return np.concatenate([np.zeros(0, int), *parts])
 
@@ -457,16 +459,16 @@ def _is_coloured(fits: BlockFits) -> bool:
 
 
 def _slow(fits: BlockFits) -> float:
-    """Variance of noise that is slow enough for a polynomial: more than the rest if coloured."""
+    """Return the variance of noise in a coefficient; for coloured noise, that of the fourth."""
     return fits.bent if fits.bent > COLOURED * fits.noise else fits.noise
 
 
 def _refined(
     blocks: IntArray, times: FloatArray, signals: Sequence[FloatArray], slow: Sequence[float]
 ) -> list[tuple[IntArray, IntArray]]:
-    """Halve the blocks in which a parabola is not enough, down to samples.
+    """Halve the blocks in which a parabola does not suffice, down to single samples.
 
-    Returns what has become of each: blocks and single samples.
+    Returns the smaller blocks and the single samples of each block.
     """
     pieces: list[tuple[list[list[int]], list[int]]] = [([], []) for _ in blocks]
     left, owners = blocks, np.arange(len(blocks))
@@ -491,10 +493,10 @@ def _refined(
 
 
 def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, most: int) -> _Rows:
-    """Keep all of a record, and of the places that are dense as many rows as there may be of all.
+    """Keep the rows of all coarse blocks, and those of as many dense blocks as `most` allows.
 
-    Where these are more, every second, third or further place is left out, from the first to the
-    last: those that are left are windows in which what is fast is seen in full.
+    If all dense blocks have more rows, only every second, third or further dense block is kept.
+    The fast part of the response is fully resolved in the dense blocks that are kept.
     """
     counts = np.array([_Rows(*piece).count for piece in pieces], int)
     dense = np.flatnonzero(counts > NODES)
@@ -508,11 +510,11 @@ def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, 
 
 
 def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput:
-    """The output at its rows, each with the noise that is left in it.
+    """Return the output at its rows, with the noise that remains in each row.
 
-    White noise stays white in the three values of a parabola. Of coloured noise, which lasts from
-    one of them to the next, the middle value alone is taken: rows are evenly spaced then, and what
-    is told from an autocorrelation is told as on samples.
+    White noise stays white in the three values of a parabola. Coloured noise is correlated between
+    these values, so only the middle value is used. The rows are then evenly spaced, and
+    autocorrelations can be used as for samples.
     """
     nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
     fits = BlockFits.of(rows.blocks, output.times, output.values)
@@ -523,7 +525,7 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
     matrix = csr_array(vstack([weights, single]).tocsr())
     times = np.concatenate([nodes, output.times[rows.samples]])
     factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
-    if memory is not None:  # many single samples say no more than the block that they are in
+    if memory is not None:  # correlated single samples count no more than the block they are in
         count = float(np.median(np.diff(rows.blocks)))
         factors[: len(nodes)] = np.sqrt(memory.middle)
         factors[len(nodes) :] = np.sqrt(count * memory.middle)
@@ -542,7 +544,7 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
 
 
 def _sentence(before: Problem, after: Problem) -> str:
-    """Say how many rows were left of how many."""
+    """Return a sentence on the numbers of rows before and after thinning."""
     pairs = [
         (len(old.times), len(new.times))
         for one, other in zip(before.experiments, after.experiments, strict=True)

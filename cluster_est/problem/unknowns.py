@@ -1,17 +1,17 @@
-"""Unknowns, the numbers that a method moves, and what counts of them without a simulation.
+"""Unknowns of a search, and the residuals and constraints that depend on them directly.
 
-Three things do: priors, constraints on parameters, and the continuity of states. Each is known from
-the point and from what workers have sent anyway.
+These are priors, constraints on parameters, and the continuity of states. They need no simulation
+in addition to that of the outputs.
 
-A constraint that names a parameter with a value for each experiment must hold in each of them; one
-that names shared parameters alone must hold once.
+A constraint on a parameter with one value per experiment must hold in each experiment. A constraint
+on shared parameters only must hold once.
 
-Where a record is cut into segments that are simulated on their own, the state s_k that a segment
-begins with is an unknown, and the one before must end in it:
+If a record is cut into segments that are simulated separately, the initial state s_k of a segment
+is an unknown. It must equal the final state of the previous segment:
 
     r = w (s_k - x_end) / scale.
 
-A worker sends x_end as the residual of an output that is compared with a value of no meaning.
+A worker sends x_end as the residual of an output that is compared with an arbitrary value.
 """
 
 from __future__ import annotations
@@ -37,29 +37,29 @@ from workers.messages import Experiment, FloatArray, IntArray
 def scope_of(label: str, name: str) -> str:
     """Return the experiment or group in a parameter's label: "exp5" of "x0[exp5]"; "" if shared.
 
-    The name itself may have brackets, as elements of arrays do.
+    The name may contain brackets, such as the name of an array's element.
     """
     return label.removeprefix(name)[1:-1]
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number that a method moves.
+    """One number that a method changes.
 
     Attributes
     ----------
     label
-        "k", or "x0[exp5]" where the parameter has a value of its own there.
+        "k", or "x0[exp5]" for a parameter with its own value in that experiment.
     parameter
-        Whose value it is.
+        The parameter to which the value belongs.
     column
-        Its place in `Model.parameters`.
+        Index of the parameter in `Problem.parameters`.
     experiments
-        Positions, in the space, of the experiments that it acts on.
+        Positions in the space of the experiments with this value.
     start
-        Physical value that the search starts from.
+        Physical start value.
     size
-        Of a noticeable change, where something better is known than the start's own size; else 0.
+        Size of a noticeable change, if it is known better than from the start value; 0 otherwise.
     """
 
     label: str
@@ -71,7 +71,7 @@ class Unknown:
 
     @property
     def scope(self) -> str:
-        """The experiment or group whose value it is; "" where all share it."""
+        """The experiment or group with this value; "" if all share it."""
         return scope_of(self.label, self.parameter.name)
 
     @property
@@ -83,7 +83,7 @@ class Unknown:
         return self.parameter.prior
 
     def prior_residual(self, searched: float) -> float:
-        """Return how far a value in search coordinates lies from its prior, in its sigmas."""
+        """Return the residual of the prior at a value in search coordinates; 0 without a prior."""
         return 0.0 if self.prior is None else self.prior.residual(self.to_physical(searched))
 
     def prior_slope(self, searched: float) -> float:
@@ -106,10 +106,10 @@ class Unknown:
 
     @property
     def typical(self) -> float:
-        """The size of a noticeable change, where nothing better is known.
+        """The size of a noticeable change.
 
-        1 for a logarithm; else the start's own size, or a tenth of the range for a start of 0.
-        A fit measures the last one and keeps it in `size`.
+        It is 1 for a logarithm. Otherwise, it is `size`, the absolute value of the start, or for a
+        start of 0 a tenth of the range. A fit measures it for a start of 0 and stores it in `size`.
         """
         if self.log:
             return 1.0
@@ -123,16 +123,16 @@ class Unknown:
 
 @dataclass(frozen=True)
 class KnownPrior:
-    """The prior of an unknown that is fixed, as along a profile: it counts and does not move.
+    """The prior of an unknown that is fixed, as along a profile; its residual is constant.
 
     Attributes
     ----------
     before
-        The unknown before which it would stand.
+        Index of the unknown before which the fixed unknown would be.
     experiment
-        Position of the experiment that it is counted with.
+        Position of the experiment to whose residuals the prior belongs.
     residual
-        Of the value at which it is fixed.
+        Residual of the fixed value.
     """
 
     before: int
@@ -142,15 +142,15 @@ class KnownPrior:
 
 @dataclass(frozen=True)
 class PriorRows:
-    """The priors of a space, each behind the residuals of one experiment.
+    """The priors of a space, each after the residuals of one experiment.
 
-    A prior counts once: with the first of the experiments that its unknown acts on. So it moves
-    with no other experiment than the unknown does, and a difference or a colour sees it.
+    A prior counts once, with the first experiment that depends on its unknown. So finite
+    differences and colours include it without changes.
 
     Attributes
     ----------
     unknowns, known
-        Of the space.
+        Unknowns of the space, and the priors of fixed unknowns.
     count
         Number of experiments.
     """
@@ -164,7 +164,7 @@ class PriorRows:
 
     @cached_property
     def places(self) -> tuple[IntArray, ...]:
-        """For each experiment the unknowns whose priors are counted with it; -1 for known ones."""
+        """For each experiment, the unknowns whose priors belong to it; -1 for known priors."""
         own: list[tuple[float, int, int]] = [
             (float(i), i, unknown.experiments[0])
             for i, unknown in enumerate(self.unknowns)
@@ -177,7 +177,7 @@ class PriorRows:
         return tuple(np.array(each, dtype=np.intp) for each in found)
 
     def residuals(self, e: int, x: FloatArray) -> FloatArray:
-        """(priors,): of an experiment, at a point in search coordinates."""
+        """Return the residuals of an experiment's priors at a point of the search: (priors,)."""
         known = (each.residual for each in self.known if each.experiment == e)
         return np.array(
             [
@@ -188,7 +188,7 @@ class PriorRows:
         )
 
     def jacobian(self, e: int, x: FloatArray, acting: IntArray) -> FloatArray:
-        """(priors, acting): their derivatives by the unknowns that act on the experiment."""
+        """Return their derivatives by the unknowns that act on the experiment: (priors, acting)."""
         own = self.places[e]
         slopes = [
             self.unknowns[i].prior_slope(float(x[i])) if i >= 0 else 0.0 for i in own.tolist()
@@ -196,7 +196,7 @@ class PriorRows:
         return np.where(own[:, None] == acting, np.array(slopes, np.float64)[:, None], 0.0)
 
     def among(self, rows: Sequence[slice]) -> np.ndarray:
-        """(residuals,): whether each is that of a prior; `rows` are those of each experiment."""
+        """Return a mask of the residuals of priors; `rows` are the rows of each experiment."""
         result = np.zeros(rows[-1].stop if rows else 0, dtype=bool)
         for row, own in zip(rows, self.places, strict=True):
             result[row.stop - len(own) : row.stop] = True
@@ -204,7 +204,7 @@ class PriorRows:
 
 
 class ConstraintSpec(NamedTuple):
-    """A constraint at the values that one experiment, by its position, is simulated with."""
+    """A constraint at the parameter values of the experiment at `position`."""
 
     name: str
     constraint: ParameterConstraint
@@ -212,7 +212,7 @@ class ConstraintSpec(NamedTuple):
 
 
 def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[ConstraintSpec, ...]:
-    """Every constraint on parameters of a problem, over some of its experiments."""
+    """Return all constraints on parameters of a problem, for some of its experiments."""
     found = []
     for constraint in (*problem.constraints, *_bounds_of_derived(problem)):
         needed = _sources(problem, constraint.formula.names)
@@ -220,7 +220,7 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Constra
         seen: dict[tuple[object, ...], int] = {}
         for position, experiment in enumerate(experiments):
             if any(experiment.estimates_alone(p.target) for p in parameters):
-                continue  # it is said of how a record begins, not of what is behind its gaps
+                continue  # the constraint is on the start of a record, not on parts after gaps
             given = dict(experiment.values)
             values = (given.get(p.target, label_of(p, experiment)) for p in parameters)
             seen.setdefault(tuple(values), position)
@@ -231,7 +231,7 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Constra
 
 
 def evaluate(specs: Sequence[ConstraintSpec], problem: Problem, table: FloatArray) -> FloatArray:
-    """The constraints from an (experiments, parameters) table of values, over their scales."""
+    """Return the constraints over their scales, for a table (experiments, parameters) of values."""
     columns = {p.name: table[:, i] for i, p in enumerate(problem.parameters)}
     with np.errstate(over="ignore"):  # a scale may be tiny
         found = [
@@ -243,7 +243,7 @@ def evaluate(specs: Sequence[ConstraintSpec], problem: Problem, table: FloatArra
 
 
 def _sources(problem: Problem, names: tuple[str, ...]) -> set[str]:
-    """These parameters, and all that their expressions lead to."""
+    """Return these parameters, and all parameters that their expressions depend on."""
     formulas = {problem.parameters[i].name: formula for i, formula in problem.derived}
     found: set[str] = set()
     waiting = list(names)
@@ -256,7 +256,7 @@ def _sources(problem: Problem, names: tuple[str, ...]) -> set[str]:
 
 
 def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
-    """A parameter that follows from others keeps its bounds by constraints."""
+    """Return the bounds of the derived parameters as constraints."""
     names = tuple(p.name for p in problem.parameters)
     found: list[ParameterConstraint] = []
     for i, _ in problem.derived:
@@ -272,14 +272,14 @@ def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
 
 
 def part_name(record: str, start: float) -> str:
-    """Return the name of what is behind a gap of a record."""
+    """Return the name of the part of a record that starts after a gap."""
     return f"{record} from {start:.10g} s"
 
 
 def label_of(parameter: Parameter, experiment: Experiment) -> str:
     """Return the label of a parameter's unknown in an experiment.
 
-    What is held out of a record shares the states that it begins with behind a gap.
+    Training and held-out parts of a record share the initial states after a gap.
     """
     if experiment.estimates_alone(parameter.target):
         return f"{parameter.name}[{part_name(experiment.record_id, experiment.start)}]"
@@ -306,15 +306,15 @@ class StateEnd:
     Attributes
     ----------
     experiment
-        Position, in the space, of the segment that ends.
+        Position of the segment in the space.
     row
-        Among the residuals of that segment's outputs: (compared - x_end) / sigma.
+        Index of the residual (compared - x_end) / sigma in the residuals of the segment.
     compared, sigma
-        Of that residual.
+        The constants of this residual.
     unknown
-        The state that the next segment begins with.
+        Index of the initial state of the next segment.
     scale
-        Of the difference, in the state's unit.
+        Scale of the difference, in the state's unit.
     """
 
     experiment: int
@@ -327,14 +327,14 @@ class StateEnd:
 
 @dataclass(frozen=True)
 class StateContinuity:
-    """All ends of the segments of a space.
+    """The continuity conditions of all segments of a space.
 
     Attributes
     ----------
     ends
-        In the order of the space's experiments.
+        Final states, in the order of the space's experiments.
     weight
-        w: how much a difference counts.
+        Weight w of the differences.
     """
 
     ends: tuple[StateEnd, ...] = field(repr=False)
@@ -342,19 +342,19 @@ class StateContinuity:
 
     @cached_property
     def of_experiment(self) -> dict[int, _EndRows]:
-        """By position of the segment that ends."""
+        """The final states of each segment, by its position."""
         found: dict[int, list[StateEnd]] = {}
         for end in self.ends:
             found.setdefault(end.experiment, []).append(end)
         return {e: _EndRows.of(ends) for e, ends in found.items()}
 
     def acting(self, e: int) -> list[int]:
-        """The unknowns that a segment must end in."""
+        """Return the unknowns that the final state of a segment must equal."""
         rows = self.of_experiment.get(e)
         return [] if rows is None else rows.unknowns.tolist()
 
     def applied(self, e: int, x: FloatArray, residuals: FloatArray) -> FloatArray:
-        """The residuals of a segment, with differences of states in their places."""
+        """Return the residuals of a segment, with the differences of states in their rows."""
         rows = self.of_experiment.get(e)
         if rows is None:
             return residuals
@@ -363,20 +363,20 @@ class StateContinuity:
         return result
 
     def differences(self, applied: Sequence[FloatArray]) -> FloatArray:
-        """(ends,): s_k - x_end, from what `applied` has made of the residuals of each segment."""
+        """Return s_k - x_end from the results of `applied` for all segments: (ends,)."""
         parts = [applied[e][rows.rows] for e, rows in sorted(self.of_experiment.items())]
         return np.concatenate([np.zeros(0), *parts]) * self.scales / self.weight
 
     @cached_property
     def scales(self) -> FloatArray:
-        """(ends,): in the order of `differences`."""
+        """Scales of the differences, in the order of `differences`: (ends,)."""
         parts = [rows.scales for _, rows in sorted(self.of_experiment.items())]
         return np.concatenate([np.zeros(0), *parts])
 
 
 @dataclass(frozen=True)
 class _EndRows:
-    """The ends of one segment, as arrays."""
+    """The final states of one segment, as arrays."""
 
     rows: IntArray
     compared: FloatArray

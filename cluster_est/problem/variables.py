@@ -1,4 +1,4 @@
-"""The names of a problem against the variables of its FMU, and inputs that it does not drive."""
+"""Checks the names of a problem against the variables of its FMU, and finds inputs without data."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def refuse_repeated(what: str, names: Sequence[str]) -> None:
 
 
 def coefficient_names(effect: Effect) -> list[str]:
-    """Names of an effect's coefficients."""
+    """Return the names of an effect's coefficients."""
     from workers.effects.definition import coefficients  # SymPy takes long to import
 
     return [c.name for c in coefficients(effect, f"effect {effect.name!r}")]
@@ -42,7 +42,7 @@ def check_interface(model: Model, description: ModelDescription) -> None:
     Raises
     ------
     ModelError
-        With those that it offers, and why others are left out.
+        If the FMU does not offer the interface.
     """
     offered = description.interfaces
     if model.interface not in offered:
@@ -55,7 +55,7 @@ def check_interface(model: Model, description: ModelDescription) -> None:
 
 
 def check_parameters(parameters: Sequence[Parameter], description: ModelDescription) -> None:
-    """Check that the FMU lets the start value of each of its parameters be set."""
+    """Check that each parameter is a real variable of the FMU whose start value can be set."""
     for parameter in parameters:
         _check_start(description, parameter.target, dotted("parameters", parameter.name), real=True)
 
@@ -66,7 +66,7 @@ def check_experiment(
     model: Model,
     parameters: Sequence[Parameter],
 ) -> None:
-    """Check that the FMU has the variables of an experiment, and lets them be used in this way."""
+    """Check that the FMU has the variables of an experiment and allows this use of them."""
     where = f"experiment {experiment.id!r}"
     for name, value in experiment.values:
         _check_start(description, name, f"{where}.values", real=False)
@@ -99,7 +99,7 @@ def check_experiment(
 def _check_set_once(
     experiment: Experiment, description: ModelDescription, parameters: Sequence[Parameter]
 ) -> None:
-    """Refuse two names of one value, of which whichever is set last would count."""
+    """Refuse values for two names of the same variable."""
     where = f"experiment {experiment.id!r}"
     named = {p.target: dotted("parameters", p.name) for p in parameters if not p.auxiliary}
     named |= {
@@ -131,7 +131,7 @@ def _check_inputs(experiment: Experiment, description: ModelDescription, where: 
                 f"{where}.inputs: {given.variable!r} must be an input of {description.file}, but "
                 f"its causality is {variable.causality!r}{nearest(given.variable, inputs)}"
             )
-        if variable.alias_of is not None:  # given under both names, which one would count?
+        if variable.alias_of is not None:  # values under both names would be ambiguous
             raise ProblemError(
                 f"{where}.inputs: {given.variable!r} must be the input's own name, but is another "
                 f"name of {variable.alias_of!r}; use {variable.alias_of!r}"
@@ -144,7 +144,7 @@ def check_effects(
     model: Model,
     experiments: Sequence[Experiment],
 ) -> None:
-    """Resolve every effect against the FMU and the signals of every experiment."""
+    """Check every effect against the FMU and the signals of every experiment."""
     if not effects:
         return
     from workers.effects.definition import define_all
@@ -165,12 +165,12 @@ def check_effects(
 def with_units(
     description: ModelDescription, units: Sequence[tuple[str, str]], signals: Collection[str]
 ) -> ModelDescription:
-    """Give variables the units that a user names.
+    """Return the description with the units that the user gives to variables.
 
     Raises
     ------
     ProblemError
-        If there is neither a variable nor a signal of that name.
+        If there is no variable and no signal with this name.
     """
     variables = dict(description.variables)
     for name, unit in units:
@@ -186,7 +186,7 @@ def with_units(
 
 
 def check_signals(experiment: Experiment, description: ModelDescription) -> None:
-    """Refuse signals whose names mean something else already."""
+    """Refuse signals whose names already have a meaning."""
     where = f"experiment {experiment.id!r}.signals"
     for given in experiment.signals:
         name = given.variable
@@ -221,7 +221,7 @@ def _check_start(description: ModelDescription, name: str, where: str, *, real: 
 def _check_roles(
     experiment: Experiment, description: ModelDescription, parameters: Sequence[Parameter]
 ) -> None:
-    """Refuse variables that are given twice, and values that their type cannot hold."""
+    """Refuse variables that are given twice, and values that do not fit the variable's type."""
     where = f"experiment {experiment.id!r}"
     targets = {p.target: p.name for p in parameters}
     driven = {given.variable for given in experiment.inputs}
@@ -242,7 +242,7 @@ def _check_roles(
 
 
 def check_value(where: str, variable: ModelVariable, value: Value) -> None:
-    """Refuse a value that the type of a variable cannot hold; `where` opens the message."""
+    """Refuse a value that does not fit the type of a variable; `where` starts the message."""
     truth, text, kind = isinstance(value, bool), isinstance(value, str), variable.kind
     number = not truth and not text
     low, high, called = _whole_numbers(variable.type)
@@ -261,20 +261,20 @@ def check_value(where: str, variable: ModelVariable, value: Value) -> None:
 
 
 def _whole_numbers(type_: str) -> tuple[float, float, str]:
-    """The least and the greatest of an FMI type, and what they are called."""
+    """Return the least and the greatest number of an FMI integer type, and a description."""
     bits = int(re.sub(r"\D", "", type_) or 64)
-    most = min(bits, 53)  # beyond that, not every one is a float64
+    most = min(bits, 53)  # not every larger integer is a float64
     if type_.startswith("U"):
         return 0.0, 2.0**most - 1, f"a whole number of {bits} bits, which is not negative"
     return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"
 
 
 MOST_NAMED_INPUTS = 4
-"""Inputs that a note names."""
+"""Largest number of inputs that a note names."""
 
 
 def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
-    """Return the inputs of the FMU that nothing drives, with the experiments in which."""
+    """Return the inputs of the FMU without data or a value, each with these experiments' ids."""
     targets = {p.target for p in problem.parameters if not p.auxiliary}
     found: dict[str, list[str]] = {}
     for variable in description.inputs():
@@ -288,24 +288,24 @@ def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, li
 
 
 def stays(variable: ModelVariable) -> str:
-    """Return the value of an input that nothing drives, with its unit."""
+    """Return the start value of an input, with its unit."""
     return f"{variable.start or 0.0:g} {variable.unit}".strip()
 
 
 def driven_or_constant(name: str) -> str:
-    """Return the two keys of which one says what an input is."""
+    """Return advice on the two config keys that give an input data or a constant value."""
     data, constant = dotted("inputs", name), dotted("values", name)
     return f'{data} = "COLUMN", or {constant} = NUMBER if it is constant'
 
 
 def silent_inputs(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
-    """Return the inputs that nothing drives in any experiment."""
+    """Return the inputs without data or a value in all experiments."""
     idle, count = idle_inputs(problem, description), len(problem.experiments)
     return tuple(name for name, ids in idle.items() if len(ids) == count)
 
 
 def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
-    """Say which inputs nothing drives; nothing where all are driven."""
+    """Return a note on the inputs without data or a value in all experiments, if there are any."""
     names = silent_inputs(problem, description)
     if not names:
         return ()

@@ -38,7 +38,7 @@ def after_jump_sentences(
     diagnostics: ResidualDiagnostics,
     told: str = "",
 ) -> tuple[str, ...]:
-    """Say where residuals are largest just after a jump that interpolation turned into a ramp.
+    """Return sentences on large residuals after jumps that interpolation turned into ramps.
 
     Parameters
     ----------

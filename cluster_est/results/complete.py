@@ -72,7 +72,7 @@ def complete(
     units |= tables.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
     test_solution = None
-    if test.size and not runner.interrupted:  # test records have unknowns of their own
+    if test.size and not runner.interrupted:  # test records have their own unknowns
         test = with_sizes(runner, test)
         (test_solution,) = runner.run([SearchRequest("test", method, test, seed)])
     known = train.estimates(solution.x)
@@ -149,7 +149,7 @@ def simulate_all(
 
 
 def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation]) -> str:
-    """Say if a second simulation at the solution gives other results; "" otherwise."""
+    """Return a sentence if a second simulation at the solution gives other results, or ""."""
     found = None if solution.at is None else solution.at.residuals
     outcomes = [with_priors(space, solution.x, i, after[e].outcome) for i, e in
                 enumerate(space.experiments)]  # fmt: skip

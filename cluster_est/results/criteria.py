@@ -127,7 +127,7 @@ def _estimated_noise(residuals: FloatArray) -> float:
 
 
 def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
-    """Say why the cost is not a likelihood of only the measured values; "" if it is."""
+    """Return why the cost is not a likelihood of only the measured values; "" if it is."""
     given = [output.has_sigma for output in outputs]
     sums = isinstance(problem.cost, SumSquared)
     reasons = {

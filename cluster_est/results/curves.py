@@ -1,4 +1,4 @@
-"""Tables of what was measured and what was simulated."""
+"""Tables of measured and simulated values."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from workers.messages.types import by_content
 @by_content
 @dataclass(frozen=True)
 class StatePaths:
-    """The states of the model in one experiment, at times at which something was measured.
+    """The states of the model in one experiment, at measured times.
 
     Attributes
     ----------
     experiment
-        Its id.
+        Id of the experiment.
     states, units
-        The FMU's name and unit of each; "" where it names none.
+        Name and unit of each state in the FMU; "" if it declares no unit.
     times : (n,)
     values : (n, states)
     """
@@ -50,9 +50,9 @@ def residual_table(
     simulations: tuple[Simulation, ...],
     before: tuple[Simulation, ...] | None = None,
 ) -> pa.Table:
-    """Measured, simulated and residual at each measured time.
+    """Return measured values, simulated values and residuals at each measured time.
 
-    With `before`, what was simulated before too, as "simulated_before": null where that is not had.
+    With `before`, the column "simulated_before" has earlier simulated values; null if unknown.
     """
     columns: dict[str, list[Any]] = defaultdict(list)
     earlier = {s.experiment: s.outcome for s in before or ()}
@@ -78,7 +78,7 @@ def residual_table(
                 "measured",
                 "simulated",
                 "simulated_before",
-            ):  # a distance belongs to none of them
+            ):  # a distance has no time and no values
                 columns[name].append(np.full(len(distances), np.nan))
     names = ["experiment", "role", "output", "time", "measured", "simulated", "residual"]
     table = pa.table({name: _joined(columns[name]) for name in names})
@@ -86,13 +86,13 @@ def residual_table(
 
 
 def _compared(output: Output, outcome: Outcome | None) -> FloatArray:
-    """What was simulated at the measured times, as it is compared; NaN where that failed."""
+    """Return the simulated values that are compared with an output; NaN after a failure."""
     found = None if outcome is None else compared_values(output, outcome)
     return np.full(len(output.times), np.nan) if found is None else found
 
 
 def input_table(problem: Problem) -> pa.Table:
-    """What drove each experiment: the samples of each input, as they were given."""
+    """Return the given samples of each input in each experiment."""
     columns: dict[str, list[Any]] = defaultdict(list)
     variables = problem.describe().variables
     for experiment in problem.experiments:
@@ -112,7 +112,7 @@ def input_table(problem: Problem) -> pa.Table:
 
 
 def state_table(paths: Sequence[StatePaths]) -> pa.Table:
-    """Each state of each experiment over time, at the estimates."""
+    """Return each state of each experiment over time, at the estimates."""
     parts = [(each, j) for each in paths for j in range(len(each.states))]
     lengths = [len(each.times) for each, _ in parts]
     return pa.table(
@@ -127,7 +127,7 @@ def state_table(paths: Sequence[StatePaths]) -> pa.Table:
 
 
 def posterior_table(posterior: PosteriorResult) -> pa.Table:
-    """Each unknown in each draw: nearly independent draws, where the chains have mixed."""
+    """Return each unknown in each draw; draws are nearly independent if the chains have mixed."""
     values, densities, _ = posterior.thinned
     draw, walker, unknown = np.indices(values.shape).reshape(3, -1)
     return pa.table(
@@ -142,7 +142,7 @@ def posterior_table(posterior: PosteriorResult) -> pa.Table:
 
 
 def prediction_table(problem: Problem, bands: Sequence[PredictedBand]) -> pa.Table:
-    """Where each output lies by the posterior, at each measured time."""
+    """Return the posterior band of each output at each measured time."""
     columns: dict[str, list[Any]] = defaultdict(list)
     for band in bands:
         experiment = problem.experiments[band.experiment]
@@ -170,9 +170,9 @@ def trajectory_table(
     simulations: tuple[Simulation, ...],
     before: tuple[Simulation, ...] | None = None,
 ) -> pa.Table:
-    """Simulated outputs at every time of each experiment's grid.
+    """Return the simulated outputs at every time of each experiment's grid.
 
-    `before` as in `residual_table`.
+    For `before`, see `residual_table`.
     """
     columns: dict[str, list[Any]] = defaultdict(list)
     earlier = {s.experiment: s.outcome.trajectory for s in before or ()}
@@ -194,7 +194,7 @@ def trajectory_table(
 
 
 def _at(trajectory: Trajectory | None, variable: str, times: FloatArray) -> FloatArray:
-    """An output at the times of another simulation; NaN if that is of another experiment."""
+    """Return an output at the times of another simulation; NaN if its times differ."""
     if trajectory is None or variable not in trajectory.variables:
         return np.full(len(times), np.nan)
     if not np.array_equal(trajectory.times, times):

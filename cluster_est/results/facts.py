@@ -33,7 +33,7 @@ the prior. By chance, 1 of 20 estimates is that far away."""
 
 
 def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """Say how much the priors add to the cost, and which estimates contradict their priors.
+    """Return sentences on the contribution of priors to the cost, and on contradicted priors.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def fit_notes(result: Result) -> tuple[str, ...]:
 
 
 def _wrong_phase(result: Result) -> tuple[str, ...]:
-    """Say that other start values may lead to another minimum.
+    """Return a note if other start values may lead to another minimum.
 
     This does not apply to fits with segments (multiple shooting), which keep the phase.
     """
@@ -154,7 +154,7 @@ def _wrong_phase(result: Result) -> tuple[str, ...]:
 
 
 def interpolation_sentences(result: Result) -> tuple[str, ...]:
-    """Say which inputs may need another interpolation, and which record shows this."""
+    """Return sentences on inputs that may need another interpolation, with the evidence."""
     other = result.interpolation
     told = "" if other is None else other.variable
     said = () if other is None else (other.sentence,)
@@ -195,7 +195,7 @@ def _over_noise(output: OutputDiagnostics) -> float:
 
 
 def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """Say which values were fitted to held-out data, so that their errors are not predictions."""
+    """Return a note on values fitted to held-out data, whose errors are not pure predictions."""
     labels = [each.label for each in estimates if each.estimated_on == "test"]
     if not labels:
         return ()

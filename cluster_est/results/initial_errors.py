@@ -105,7 +105,7 @@ def initial_errors(
 
 
 def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[str, ...]:
-    """Say where a fitted model has wrong initial states, and what to do about it."""
+    """Return a note on wrong initial states of a fitted model, with advice."""
     found = initial_errors(problem, simulations, fitted=True)
     if not found:
         return ()
@@ -113,7 +113,7 @@ def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[
 
 
 def free_start_advice(problem: Problem) -> str:
-    """Say which keys set the initial states of the experiments, or let a fit estimate them."""
+    """Return advice on the config keys that estimate or set initial states of experiments."""
     description = problem.describe()
     taken = {p.target for p in problem.parameters if p.per != "gap"}
     states = [

@@ -155,7 +155,7 @@ def _hidden(problem: Problem) -> dict[str, tuple[int, int]]:
 
 
 def _order_notes(problem: Problem, simulations: Sequence[Simulation]) -> list[str]:
-    """Say how many pairs of ordinal values have the same order in the simulation."""
+    """Return notes on the share of ordinal pairs with the same order in the simulation."""
     ordered: dict[tuple[str, str], tuple[int, int]] = {}
     for simulation in simulations:
         experiment = problem.experiments[simulation.experiment]

@@ -1,4 +1,4 @@
-"""Plots of a result with matplotlib: each takes axes, or makes them, and returns them."""
+"""Plots of a result with matplotlib; each uses the given axes, or new ones, and returns them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ AFTER_STYLE: dict[str, Any] = {"color": "tab:blue", "linewidth": 1.5}
 
 
 def new_axes(ax: Axes | None) -> Axes:
-    """Return the axes that were given, or new ones.
+    """Return the given axes, or new ones.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def new_axes(ax: Axes | None) -> Axes:
 def plot_curves(
     view: ResultView, experiment: str | None, output: str | None, ax: Axes | None
 ) -> Axes:
-    """Draw what was measured and simulated of one output; see `ResultView.plot`."""
+    """Draw the measured and simulated values of one output; see `ResultView.plot`."""
     row = _chosen(view, experiment, output)
     ax = new_axes(ax)
     measured, simulated = (_part(view.table(name), row) for name in ("residuals", "trajectories"))
@@ -112,7 +112,7 @@ def plot_profile(view: ResultView, label: str, ax: Axes | None) -> Axes:
 
 
 def _chosen(view: ResultView, experiment: str | None, output: str | None) -> Mapping[str, Any]:
-    """Return the row of errors that is meant: the worst over sigma of those that are named."""
+    """Return the row of the chosen output; of several rows, that with the largest error."""
     rows = [row for row in view.table("errors").to_pylist() if not _is_curve(row)]
     for key, wanted in (("experiment", experiment), ("output", output)):
         known = list(dict.fromkeys(row[key] for row in rows))

@@ -1,4 +1,4 @@
-"""The residuals of a fit put to their tests."""
+"""Tests of the residuals of a fit."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ from cluster_est.uncertainty.covariance.normal_equations import (
 from workers.messages import FloatArray
 
 EXACT_FIT_RESIDUAL = 1e-5
-"""Residuals over the spread of the signal up to which they are numerical errors: no sensor is so
-good, and what is simulated data without noise has no sigma."""
+"""Largest residual, over the standard deviation of the signal, that is only numerical error. No
+sensor is that accurate; such data are simulated without noise."""
 
 
 def diagnose_residuals(
     space: SearchSpace, solution: Solution, simulations: Sequence[Simulation]
 ) -> ResidualDiagnostics | None:
-    """Test the training residuals of a fit for what is left in them, and their size.
+    """Test the training residuals of a fit for structure, and their size.
 
-    Structure is looked for by `smoothness`, behind the projection of the fit where its Jacobian is
-    known, for each output and for all together (Bonferroni). The size of a mean square is judged by
-    a chi-squared distribution with the degrees of freedom that the parameters left, divided by what
-    autocorrelation takes away (`Autocorrelation.squares`).
+    `smoothness` tests for structure, for each output and for all outputs together (Bonferroni). If
+    the Jacobian is known, the test includes the effect of the fit. The size of a mean square is
+    compared with a chi-squared distribution. Its degrees of freedom are the remaining ones, divided
+    by the factor for autocorrelation (`Autocorrelation.squares`).
 
     Parameters
     ----------
     space, solution
-        Of the training experiments. Its Jacobian is used if it has one.
+        Search space and solution of the training experiments; the Jacobian may be missing.
     simulations
-        Of every experiment of the problem at the estimates, with trajectories.
+        Simulations of all experiments at the estimates, with trajectories.
 
     Returns
     -------
     ResidualDiagnostics or None
-        None where residuals have no such meaning: another cost than the sum of squares, curves,
-        cost functions, constraints, a failed simulation, a search that was interrupted.
+        None if the tests do not apply: another cost than the sum of squares, curves, cost
+        functions, constraints, a failed simulation, or an interrupted search.
     """
     problem, ending = space.problem, solution.ending
     asked = ending.success or ending in (Ending.MAX_ITERATIONS, Ending.STALLED)
@@ -60,7 +60,7 @@ def diagnose_residuals(
         return None
     records = make_records([problem.experiments[e] for e in space.experiments])
     declared = _declared(space, records)
-    if noise_names(problem):  # innovations are white over their own spread, which is no sigma
+    if noise_names(problem):  # innovations are scaled with their own spread, not with sigma
         residuals, declared = _innovations(space, solution), (False,) * len(declared)
     if not np.isfinite(residuals).all():
         return None
@@ -71,7 +71,7 @@ def diagnose_residuals(
 
 
 def training_residuals(space: SearchSpace, simulations: Sequence[Simulation]) -> FloatArray | None:
-    """Return the residuals of all outputs, stacked, without those of priors; None if one failed."""
+    """Return the stacked residuals of all outputs, without priors; None if a simulation failed."""
     outcomes = {s.experiment: s.outcome for s in simulations}
     parts = [
         output_residuals(output, outcomes[e])
@@ -83,7 +83,7 @@ def training_residuals(space: SearchSpace, simulations: Sequence[Simulation]) ->
 
 
 def _innovations(space: SearchSpace, solution: Solution) -> FloatArray:
-    """The residuals of a fit with process noise, without those of priors; NaN if it has none."""
+    """Return the residuals of a fit with process noise, without priors; NaN if there are none."""
     at = solution.at
     if at is None or not at.ok:
         return np.full(1, np.nan)
@@ -91,9 +91,10 @@ def _innovations(space: SearchSpace, solution: Solution) -> FloatArray:
 
 
 def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
-    """Whether each output has a sigma: not where all are 1, nor where it is as large as the signal.
+    """Return whether each output has a declared sigma.
 
-    The latter is what a normalised output has.
+    Sigmas do not count if all are 1. A sigma as large as the signal, as for a normalised output,
+    does not count either.
     """
     outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
     if not any(output.has_sigma for output in outputs):
@@ -106,7 +107,7 @@ def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
 
 
 def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -> tuple[bool, ...]:
-    """Return whether each output is followed as closely as only numbers without noise can be."""
+    """Return whether the residuals of each output are only numerical errors."""
     outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
     errors, spreads = np.zeros(len(records.outputs)), np.zeros(len(records.outputs))
     for item, output in zip(records.items, outputs, strict=True):
@@ -117,7 +118,7 @@ def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -
 
 
 def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
-    """Directions that the free unknowns have taken out of the residuals, orthonormal (n, rank)."""
+    """Return orthonormal directions that the fit has removed from the residuals: (n, rank)."""
     matrix = free_jacobian(space, solution, count, MOST_TRANSFORMED_ENTRIES)
     return np.zeros((count, 0)) if matrix is None else OrthogonalProjection(matrix).basis
 
@@ -125,21 +126,21 @@ def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
 def free_jacobian(
     space: SearchSpace, solution: Solution, count: int, most: int
 ) -> FloatArray | None:
-    """Return the derivatives of the residuals by the unknowns that are at no bound.
+    """Return the derivatives of the residuals by the unknowns that are not at a bound.
 
     Parameters
     ----------
     space, solution
-        Of the training experiments.
+        Search space and solution of the training experiments.
     count
-        Of the residuals, without those of priors.
+        Number of residuals, without those of priors.
     most
-        Entries that it may have.
+        Largest number of entries.
 
     Returns
     -------
     (count, free unknowns) or None
-        None where they are not known, or too many.
+        None if the derivatives are not known, or if there are too many entries.
     """
     if not has_jacobian(solution) or count * space.size > most:
         return None

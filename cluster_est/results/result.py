@@ -260,7 +260,7 @@ class Result(ResultView):
         return pa.Table.from_pylist(found) if found else pa.table({})
 
     def optional_rows(self) -> dict[str, Sequence[Any]]:
-        """Rows of the optional tables by name; empty if the fit has no such table."""
+        """Return the rows of the optional tables by name; empty if the fit has no such table."""
         uncertainty, drawn = self.uncertainty, self.bootstrap
         return {
             "constraints": self.constraints,

@@ -14,9 +14,9 @@ SURPRISING = 1e-3
 class SegmentState:
     """One state at the start of one segment, a row of segments.parquet.
 
-    `guess` is the start value of the search, `value` its result, and `jump` the difference between
-    `value` and the end of the previous segment, in the state's unit. `relative_jump` is over the
-    state's standard deviation along the records.
+    `guess` is the start value of the search, and `value` is its result. `jump` is the difference
+    between `value` and the end of the previous segment, in the state's unit. `relative_jump` is the
+    jump over the state's standard deviation along the records.
     """
 
     experiment: str

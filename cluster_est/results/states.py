@@ -1,4 +1,4 @@
-"""The states of a model where a fit stands: residuals may depend on what nobody has measured."""
+"""The states of a model at the estimates, because residuals may depend on unmeasured states."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from cluster_est.running.resources import Resources
 from workers.messages import Experiment, FloatArray, Output
 
 MOST_KEPT = 1_000_000
-"""Values of all states that are kept: 8 MB. Of more, every n-th measured time."""
+"""Largest number of stored values of states: 8 MB. If there are more, every n-th measured time is
+stored."""
 MOST_RECORDED = 20_000_000
-"""Values of all states at all times of the simulations: 160 MB. Of more, fewer experiments."""
+"""Largest number of values of states at all times of the simulations: 160 MB. If there are more,
+fewer experiments are simulated."""
 MOST_SECONDS = 60.0
-"""That the simulations took at the estimates, up to which they are repeated."""
+"""Largest duration of the simulations at the estimates for which they are repeated."""
 
 
 def with_states(result: Result, resources: Resources) -> Result:
     """Add the states at the estimates, which a search does not record.
 
-    Up to `MOST_EXPERIMENTS` training experiments are simulated once more, in a process of their
-    own, with the states among the outputs. None are added where no whole record was fitted, the run
-    was interrupted, that would take long, or the licence of the FMU limits its instances.
+    Up to `MOST_EXPERIMENTS` training experiments are simulated again in a separate process, with
+    the states among the outputs. No states are added if the fit used segments, if the run was
+    interrupted, if the simulations take long, or if the FMU's licence limits its instances.
     """
     problem, chosen = result.problem, _chosen(result)
     if not chosen or resources.instances is not None:
@@ -40,7 +42,7 @@ def with_states(result: Result, resources: Resources) -> Result:
         outcomes = simulate_with_solver(
             problem, runs, space.physical(space.start), solver, "trajectory", resources, beside=None
         )
-    except ClusterEstError:  # the curves at the estimates say so too
+    except ClusterEstError:  # then only the states are missing
         return result
     units = tuple(description.variables[name].unit for name in states)
     every = -(-sum(len(_times(run)) for run in runs) * len(states) // MOST_KEPT)
@@ -54,7 +56,7 @@ def with_states(result: Result, resources: Resources) -> Result:
 
 
 def _chosen(result: Result) -> tuple[int, ...]:
-    """Return the experiments that are simulated once more; none where that is not worth it."""
+    """Return the experiments to simulate again; see `with_states`."""
     states = len(result.problem.describe().states)
     segmented = result.shooting is not None and not result.shooting.joined
     if not states or segmented or result.interrupted:
@@ -72,7 +74,7 @@ def _chosen(result: Result) -> tuple[int, ...]:
 
 
 def _recording(experiment: Experiment, states: tuple[str, ...]) -> Experiment:
-    """Return an experiment whose simulation records the states, as outputs without samples."""
+    """Return an experiment with the states as additional outputs without samples."""
     known = {output.variable for output in experiment.outputs}
     none = np.zeros(0)
     added = [Output(name, none, none) for name in states if name not in known]
@@ -80,6 +82,6 @@ def _recording(experiment: Experiment, states: tuple[str, ...]) -> Experiment:
 
 
 def _times(experiment: Experiment) -> FloatArray:
-    """Return the times at which anything was measured."""
+    """Return all measured times."""
     measured = [output.times for output in experiment.outputs]
     return np.unique(np.concatenate([np.zeros(0), *measured]))

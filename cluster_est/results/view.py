@@ -1,7 +1,7 @@
-"""What users read of a result in Python, whether it is in memory or in a run folder.
+"""The interface of results in Python, for results in memory and in a run folder.
 
-All of it follows from tables and facts, so that a fit, a closed loop and what `ce.load` reads are
-read in the same way.
+Everything is computed from tables and facts, so the results of a fit, of a closed loop and of
+`ce.load` have the same interface.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_VALUES_IN_REPR = 6
-"""Estimates that the short text of a result names."""
+"""Largest number of estimates in the short text of a result."""
 
 
 @by_content
@@ -36,12 +36,12 @@ MOST_VALUES_IN_REPR = 6
 class NamedMatrix:
     """A symmetric matrix whose rows and columns have names.
 
-    `matrix["R", "L"]` is one entry, `numpy.asarray(matrix)` all of them.
+    `matrix["R", "L"]` is one entry, and `numpy.asarray(matrix)` is the whole matrix.
 
     Attributes
     ----------
     names
-        Of rows and columns.
+        Names of the rows and columns.
     values : (names, names)
     """
 
@@ -59,7 +59,7 @@ class NamedMatrix:
         return np.array(self.values, dtype=dtype)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return it as a frame of pandas, which must be installed."""
+        """Return the matrix as a pandas DataFrame; pandas must be installed."""
         frame = display.as_frame(pa.table(dict(zip(self.names, self.values.T, strict=True))))
         return frame.set_axis(list(self.names), axis="index")
 
@@ -76,16 +76,16 @@ class NamedMatrix:
 
 
 class ResultView(ABC):
-    """A result as users read it: estimates by name, matrices, criteria, frames, text and plots."""
+    """A result with estimates by name, matrices, criteria, DataFrames, texts and plots."""
 
     @property
     @abstractmethod
     def tables(self) -> tuple[str, ...]:
-        """Names of its tables, those of a run folder's files."""
+        """Names of the tables, as in a run folder."""
 
     @abstractmethod
     def table(self, name: str) -> pa.Table:
-        """Return one of `tables`, as an Arrow table with the columns of a run folder.
+        """Return one of `tables` as an Arrow table, with the columns as in a run folder.
 
         Raises
         ------
@@ -95,18 +95,18 @@ class ResultView(ABC):
 
     @abstractmethod
     def facts(self) -> Mapping[str, Any]:
-        """Return what run.json says of it."""
+        """Return the entries of run.json on the result."""
 
     @property
     @abstractmethod
     def criteria(self) -> InformationCriteria:
-        """Likelihood, AIC, AICc and BIC of the training data; without numbers if it has none."""
+        """Likelihood, AIC, AICc and BIC of the training data, or the reason why there are none."""
 
     @cached_property
     def params(self) -> Mapping[str, Estimate]:
-        """Every parameter by its label: `params["R"].value`, `.stderr`, `.interval`, `.unit`.
+        """All parameters by label: `params["R"].value`, `.stderr`, `.interval`, `.unit`.
 
-        A parameter with a value for each experiment has labels such as "x0[exp5]".
+        A parameter with one value per experiment has labels such as "x0[exp5]".
         """
         known = [each.name for each in fields(Estimate)]
         rows = self.table("parameters").to_pylist()
@@ -117,8 +117,8 @@ class ResultView(ABC):
     def correlation(self) -> NamedMatrix:
         """Correlations of the estimates from training data.
 
-        NaN where the data do not determine one of the two, and between values of single experiments
-        ("x0[a]", "x0[b]"), which are not computed.
+        They are NaN if the data do not determine one of the two values. Those between values of
+        single experiments ("x0[a]", "x0[b]") are also NaN, because they are not computed.
         """
         labels = [e.label for e in self.params.values() if e.estimated_on == "train"]
         place = {label: i for i, label in enumerate(labels)}
@@ -140,7 +140,7 @@ class ResultView(ABC):
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion; NaN where `criteria.why_not` says why."""
+        """Akaike's criterion; NaN if `criteria.why_not` gives a reason."""
         return self.criteria.aic
 
     @property
@@ -154,25 +154,25 @@ class ResultView(ABC):
         return self.criteria.bic
 
     def to_frame(self, table: str = "parameters") -> pd.DataFrame:
-        """Return one of `tables` as a frame of pandas, which must be installed."""
+        """Return one of `tables` as a pandas DataFrame; pandas must be installed."""
         return display.as_frame(self.table(table))
 
     def plot(
         self, experiment: str | None = None, output: str | None = None, *, ax: Axes | None = None
     ) -> Axes:
-        """Draw what was measured and what was simulated of one output of one experiment.
+        """Draw the measured and simulated values of one output of one experiment.
 
         Parameters
         ----------
         experiment, output
-            By name; what is followed worst, over sigma, if left out.
+            Their names; by default those with the largest error over sigma.
         ax
-            Axes of matplotlib to draw into; new ones if None.
+            Axes of matplotlib; new ones if None.
 
         Returns
         -------
         Axes
-            Those that were drawn into.
+            The axes of the plot.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class ResultView(ABC):
     def plot_residuals(
         self, experiment: str | None = None, output: str | None = None, *, ax: Axes | None = None
     ) -> Axes:
-        """Draw (measured - simulated) / sigma over time; arguments as of `plot`."""
+        """Draw (measured - simulated) / sigma over time; for the arguments, see `plot`."""
         from cluster_est.results.plots import plot_residuals
 
         return plot_residuals(self, experiment, output, ax)
@@ -198,9 +198,9 @@ class ResultView(ABC):
         return plot_correlation(self, ax)
 
     def plot_profile(self, label: str, *, ax: Axes | None = None) -> Axes:
-        """Draw the likelihood profile of a parameter, for which `uncertainty` must have asked.
+        """Draw the likelihood profile of a parameter, if the fit computed it.
 
-        What is drawn is the signed square root of the cost's rise in standard deviations: a
+        The plot shows the signed square root of the cost's rise in standard deviations. It is a
         straight line for a model that is linear in the parameter.
         """
         from cluster_est.results.plots import plot_profile
@@ -208,7 +208,7 @@ class ResultView(ABC):
         return plot_profile(self, label, ax)
 
     def summary(self) -> str:
-        """Return the text of `print`: how it ended, estimates, errors, criteria and notes."""
+        """Return the text of `print`: the ending, estimates, errors, criteria and notes."""
         facts = self.facts()
         lines = [display.plain(_title(facts), *self._displayed(facts)), "", self._criteria_line]
         return "\n".join([*lines, *(f"note: {note}" for note in facts.get("notes") or ())])
@@ -244,13 +244,13 @@ class ResultView(ABC):
 
 
 def _how_sure(effect: Mapping[str, Any]) -> str:
-    """The probability that an effect is right; "" where it is not known."""
+    """Return the probability that an effect is right; "" if it is not known."""
     known = effect.get("claim")
     return display.percent(known["probability"]) if known else ""
 
 
 class _Named(Mapping[str, Estimate]):
-    """Estimates by label, shown as a table; a wrong label is met with the nearest one."""
+    """Estimates by label, displayed as a table; the error for a wrong label names the nearest."""
 
     def __init__(self, found: Mapping[str, Estimate]) -> None:
         self._found = MappingProxyType(dict(found))
@@ -281,7 +281,7 @@ def _title(facts: Mapping[str, Any]) -> str:
 
 
 def _parameters(estimates: Sequence[Estimate], *, too_narrow: bool = False) -> display.DisplayTable:
-    """Return estimates as a display shows them, with a word where diagnostics deny intervals."""
+    """Return a table of estimates, with a remark if the intervals are too narrow."""
     ends = ("95 % from", "to (too narrow)" if too_narrow else "to")
     rows = [
         (e.label, e.value, e.unit, e.std_error, *e.interval, e.at_bound, e.description)
@@ -299,7 +299,7 @@ def _errors(rows: Sequence[Mapping[str, Any]]) -> display.DisplayTable:
 
 
 def short_text(kind: str, first: str, values: Mapping[str, float]) -> str:
-    """Return the text of a result in a row or a list: its kind, how it ended, a few values."""
+    """Return a short text of a result: its kind, its ending, and a few values."""
     shown = [f"{name}={value:.6g}" for name, value in list(values.items())[:MOST_VALUES_IN_REPR]]
     more = len(values) - MOST_VALUES_IN_REPR
     return f"{kind}({', '.join([first, *shown, *([f'{more} more'] if more > 0 else [])])})"

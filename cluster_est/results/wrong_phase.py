@@ -1,8 +1,8 @@
-"""Fits of models that swing which ended in a minimum of a wrong phase.
+"""Detects fits of oscillating models that ended in a minimum with a wrong phase.
 
-The sum of squares of an oscillation over the logarithm of its frequency has a minimum at each
-number of cycles in the record, and its main one is about one cycle wide: a search that begins
-farther away ends beside it, with another period, or damps the simulation until it hardly moves.
+As a function of the frequency of an oscillation, the sum of squares has a minimum for each number
+of cycles in the record. The global minimum is about one cycle wide. A search that begins farther
+away ends in another minimum, with a wrong period, or damps the simulation until it hardly moves.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from cluster_est.results.output_errors import Simulation, compared_values
 from workers.messages import Experiment, FloatArray, Output
 
 POOR = 0.7
-"""Error over the spread of what was measured from which on a fit misses it."""
+"""Error over the standard deviation of the measured signal above which a fit is poor."""
 LEAST_CYCLES, OTHER_CYCLES = 2.5, 0.5
-"""Cycles in a record from which on it swings, and by which a simulation has others."""
+"""Least number of cycles of an oscillating record; least difference in the number of cycles."""
 LEAST_SHARE, BAND = 0.5, 1.25
-"""Share of the variance that lies in one band of frequencies, and its ends over its middle."""
+"""Least share of the variance in one frequency band; ratio of the band's ends to its centre."""
 HARDLY_MOVING = 0.3
-"""Spread of a simulation over that of the measurement below which it hardly moves."""
+"""Ratio of simulated to measured standard deviation below which a simulation hardly moves."""
 MOST_TRANSFORMED_SAMPLES = 8192
 
 
 @dataclass(frozen=True)
 class Swing:
-    """The oscillation that carries most of a signal: its cycles in the record, and its period."""
+    """The dominant oscillation of a signal: its number of cycles in the record, and its period."""
 
     cycles: float
     period: float
 
 
 def swing_of(times: FloatArray, values: FloatArray) -> Swing | None:
-    """Return the oscillation of a signal; None if no band of frequencies has half its variance."""
+    """Return the oscillation of a signal; None if no frequency band has half of its variance."""
     count = min(len(times), MOST_TRANSFORMED_SAMPLES)
     long = float(times[-1] - times[0]) if count > 3 else 0.0
     if long <= 0.0 or not np.isfinite(values).all():
@@ -61,16 +61,16 @@ def swing_of(times: FloatArray, values: FloatArray) -> Swing | None:
 def wrong_phase_notes(
     problem: Problem, simulations: Sequence[Simulation], starts: int
 ) -> tuple[str, ...]:
-    """Say where a fitted model swings otherwise than was measured, and what else to try.
+    """Return a note if a fitted model oscillates differently from the measurement, with advice.
 
     Parameters
     ----------
     problem
-        That was fitted.
+        The fitted problem.
     simulations
-        Of its experiments at the estimates, with trajectories.
+        Simulations of its experiments at the estimates, with trajectories.
     starts
-        From which the search began.
+        Number of starts of the search.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def wrong_phase_notes(
 def _wrong(
     experiment: Experiment, output: Output, simulation: Simulation
 ) -> Iterator[tuple[float, Swing, str]]:
-    """Yield the error over the spread, the measured swing and what the model does, if wrong."""
+    """Yield relative error, measured oscillation, and the model's behaviour, if it is wrong."""
     simulated = None if output.ordinal else compared_values(output, simulation.outcome)
     if simulated is None or len(output.values) < 2:
         return
@@ -119,7 +119,7 @@ def _wrong(
 
 
 def _is_driven(experiment: Experiment, measured: Swing) -> bool:
-    """Return whether an input swings as the output does, which then has its period from there."""
+    """Return whether an input oscillates with the output's period, which it then determines."""
     swings = (swing_of(given.times, given.values) for given in experiment.inputs)
     return any(
         each is not None and 1.0 / BAND < each.period / measured.period < BAND for each in swings

@@ -1,4 +1,4 @@
-"""Sensitivity analysis: which unknowns matter, where in the data, and which go together.
+"""Sensitivity analysis: the influence of unknowns on the data, and which can be estimated together.
 
-`analysis.sensitivity` is where to begin, with `settings.SensitivitySettings`.
+Start with `analysis.analyse_sensitivity` and `settings.SensitivitySettings`.
 """

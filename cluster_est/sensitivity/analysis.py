@@ -1,16 +1,17 @@
-"""The recipe of a sensitivity analysis: sample the bounds, simulate, compute indices, order.
+"""Sensitivity analysis: sample between the bounds, simulate, compute indices, order the unknowns.
 
-Indices say how much an unknown moves the cost and the outputs between its bounds: A. Saltelli et
-al., Global Sensitivity Analysis: The Primer (2008), doi:10.1002/9780470725184.
+Indices measure how much an unknown changes the cost and the outputs between its bounds (A. Saltelli
+et al., Global Sensitivity Analysis: The Primer (2008), doi:10.1002/9780470725184).
 
-The order says which unknowns can be estimated together, by local sensitivities S = J D: derivatives
-of the residuals by the unknowns, times a noticeable change of each. The size of a column is how
-much the data see of an unknown; columns that are nearly dependent belong to unknowns that can make
-up for each other. The collinearity index 1 / sqrt(smallest eigenvalue of N'N), N the columns scaled
-to length 1, is how many times larger a change of the best combination is than what is left of it:
-R. Brun, P. Reichert, H. R. Kuensch, Water Resour. Res. 37 (2001) 1015-1030,
-doi:10.1029/2000WR900350. The order is that of a QR decomposition with column pivoting: M. Burth,
-G. C. Verghese, M. Velez-Reyes, IEEE Trans. Power Syst. 14 (1999) 218-225, doi:10.1109/59.744536.
+The order shows which unknowns can be estimated together. It uses the local sensitivities S = J D,
+which are derivatives of the residuals times a noticeable change of each unknown. The size of a
+column measures the influence of an unknown on the data. Nearly dependent columns belong to unknowns
+that can compensate each other. The collinearity index is 1 / sqrt(smallest eigenvalue of N'N),
+where N contains the columns scaled to length 1. The other unknowns can compensate a change of one
+unknown up to a fraction of 1 / index (R. Brun, P. Reichert, H. R. Kuensch, Water Resour. Res. 37
+(2001) 1015-1030, doi:10.1029/2000WR900350). The order is that of a QR decomposition with column
+pivoting (M. Burth, G. C. Verghese, M. Velez-Reyes, IEEE Trans. Power Syst. 14 (1999) 218-225,
+doi:10.1109/59.744536).
 """
 
 from __future__ import annotations
@@ -54,24 +55,24 @@ from workers.messages import FloatArray
 from workers.messages.checks import check_kind, check_number
 
 INVISIBLE = 1e-9
-"""Size of a column, over the largest, that counts as none: below it differences are rounding."""
+"""Size of a column, over the largest, below which it is rounding error."""
 
 
 @dataclass(frozen=True)
 class IdentifiableUnknown:
-    """An unknown, in the order in which they are best estimated.
+    """An unknown in the order of estimation.
 
     Attributes
     ----------
     unknown
-        Its position in the space.
+        Position of the unknown in the space.
     size
         Root mean square of its scaled sensitivities, in sigmas.
     collinearity
-        Index of this unknown with those before it that are estimated; infinite where it cannot be
-        told from them.
+        Collinearity index of this unknown with the estimated unknowns before it; infinite if the
+        data cannot distinguish them.
     together
-        It may be estimated together with them.
+        Whether it can be estimated together with them.
     """
 
     unknown: int
@@ -83,20 +84,20 @@ class IdentifiableUnknown:
 def identifiable_order(
     jacobian: FloatArray, changes: FloatArray, most: float
 ) -> list[IdentifiableUnknown]:
-    """Order unknowns by what the data see of each beyond those before it.
+    """Order unknowns by their influence on the data in addition to the unknowns before them.
 
     Parameters
     ----------
     jacobian : (residuals, unknowns)
-        At the point that they are judged at.
+        Derivatives of the residuals.
     changes : (unknowns,)
-        A noticeable change of each.
+        A noticeable change of each unknown.
     most
-        Collinearity index from which on unknowns cannot be estimated together.
+        Collinearity index from which unknowns cannot be estimated together.
     """
     tall = jacobian * changes
     rows = max(len(tall), 1)
-    # R of a QR decomposition has the columns' lengths and angles, and few rows
+    # R of a QR decomposition has few rows, and the same lengths and angles of columns
     scaled = np.linalg.qr(tall).R if len(tall) > tall.shape[1] else tall
     sizes = np.linalg.norm(scaled, axis=0)
     seen = sizes > INVISIBLE * sizes.max(initial=0.0)
@@ -114,27 +115,27 @@ def identifiable_order(
 
 
 def _collinearity(unit: FloatArray) -> float:
-    """The index of columns of length 1."""
+    """Return the collinearity index of columns of length 1."""
     smallest = float(np.linalg.svd(unit, compute_uv=False)[-1]) if len(unit) >= unit.shape[1] else 0
     return 1.0 / smallest if smallest > 0.0 else np.inf
 
 
 POINTS_AT_ONCE, RESIDUALS_AT_ONCE = 1000, 20_000_000
-"""Points that are asked for together, and their residuals: only the quantities are kept."""
+"""Largest numbers of points, and of their residuals, that are requested together."""
 
 
 @dataclass(frozen=True)
 class Sensitivity(Study[SensitivityResult]):
-    """The ranking of unknowns by how much they matter between their bounds.
+    """A sensitivity analysis, which ranks unknowns by their influence between their bounds.
 
     Attributes
     ----------
     problem
         Model, parameters and experiments.
     settings
-        Design, and what is computed from it.
+        Settings of the design and the indices.
     seed
-        Starts the random generator.
+        Random seed.
     """
 
     problem: Problem
@@ -168,26 +169,26 @@ def analyse_sensitivity(
     callback: Callback | None = None,
     record: Record | None = None,
 ) -> SensitivityResult:
-    """Rank unknowns by how much they move the cost and the outputs within their bounds.
+    """Rank unknowns by how much they change the cost and the outputs between their bounds.
 
     Parameters
     ----------
     problem
         Model, parameters and experiments; the training experiments are simulated. Every unknown
-        needs finite bounds: what is asked is how much it matters between them.
+        must have finite bounds.
     resources
         Where simulations run, and the budget.
     settings
-        Design, and what is computed from it.
+        Settings of the design and the indices.
     seed
-        Starts the random generator; the result is the same for any number of workers.
+        Random seed; the result does not depend on the number of workers.
     progress, callback, record
-        As for `fit`.
+        See `fit`.
 
     Raises
     ------
     ClusterEstError
-        If model, experiments and machine do not fit together, or too few points can be simulated.
+        If model, experiments or resources are invalid, or if too few points can be simulated.
     """
     study = Sensitivity(prepared(problem), SensitivitySettings.of(settings), seed)
     return run_study(study, resources, progress=progress, callback=callback, record=record)
@@ -196,16 +197,16 @@ def analyse_sensitivity(
 def analyse_on(
     runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
 ) -> SensitivityResult:
-    """Analyse on workers that are there already.
+    """Analyse with existing workers.
 
     Parameters
     ----------
     runner
-        Its executor has the experiments of the space's problem.
+        Runs the simulations of the space's problem.
     space
-        As `check_bounds` gave it.
+        Search space from `check_bounds`.
     settings, seed
-        How.
+        Settings and random seed.
 
     Raises
     ------
@@ -254,7 +255,7 @@ def check_bounds(problem: Problem) -> SearchSpace:
     Raises
     ------
     ProblemError
-        If there is nothing to sample, or a bound is infinite.
+        If there are no unknowns, or a bound is infinite.
     """
     problem = without_priors(problem)
     space = make_space(problem, problem.indices("train"))
@@ -279,7 +280,7 @@ def check_bounds(problem: Problem) -> SearchSpace:
 
 
 def _key_of(space: SearchSpace, name: str) -> str:
-    """The key of a parameter's bounds in a config."""
+    """Return the config key of a parameter's bounds."""
     effect, _, coefficient = name.rpartition(".")
     if effect in {each.name for each in space.problem.effects}:
         return f"effects.{effect}.{dotted('parameters', coefficient)}.bounds"
@@ -289,7 +290,7 @@ def _key_of(space: SearchSpace, name: str) -> str:
 def _simulated(
     runner: Runner, space: SearchSpace, points: FloatArray, reader: PointReader, seed: int
 ) -> FloatArray:
-    """(points, quantities): NaN where a simulation failed."""
+    """Return the quantities at all points: (points, quantities); NaN if a simulation failed."""
     parts = []
     many = min(POINTS_AT_ONCE, max(1, RESIDUALS_AT_ONCE // max(space.rows[-1].stop, 1)))
     for first in range(0, len(points), many):
@@ -302,7 +303,7 @@ def _simulated(
 
 
 def _whole_groups(values: FloatArray, group: int) -> np.ndarray:
-    """(points,): whether no point of the same group has failed."""
+    """Return a mask of the points in groups without failed points: (points,)."""
     finite = np.isfinite(values).all(axis=1).reshape(-1, group)
     return np.repeat(finite.all(axis=1), group)
 
@@ -310,7 +311,7 @@ def _whole_groups(values: FloatArray, group: int) -> np.ndarray:
 def _order(
     runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
 ) -> tuple[list[IdentifiableUnknown], str]:
-    """The order of estimation at the start values, or the reason why it is unknown."""
+    """Return the order of estimation at the start values, or the reason why it is unknown."""
     request = SearchRequest("before", GivenPoints(space.start[None], "start"), space, seed)
     (solution,) = runner.run([request])
     linear = linearise(runner, space, solution)
@@ -329,7 +330,7 @@ def _ranking(
     of_cost: Sequence[SensitivityIndex],
     order: Sequence[IdentifiableUnknown],
 ) -> tuple[RankedUnknown, ...]:
-    """All unknowns, the one that moves the cost the most first."""
+    """Return all unknowns, sorted by their influence on the cost."""
     (index,) = (each for each in of_cost if each.name == design.ranks)
     places = {each.unknown: (position, each) for position, each in enumerate(order)}
     found = []

@@ -1,4 +1,4 @@
-"""The result of a sensitivity analysis: its tables, its facts, and what to know of them."""
+"""The result of a sensitivity analysis: tables, facts and notes."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ COST, LOG_COST = "cost", "log(cost)"
 
 @dataclass(frozen=True)
 class AnalysedQuantity:
-    """One number of each simulated point.
+    """A quantity with one value at each simulated point.
 
     Attributes
     ----------
     output
-        "cost" or "log(cost)", or the FMU's name of an output.
+        "cost", "log(cost)", or the FMU's name of an output.
     experiment, time
-        Of an output; "" and NaN for the cost.
+        Experiment and time of an output; "" and NaN for the cost.
     """
 
     output: str
@@ -44,14 +44,14 @@ class AnalysedQuantity:
 
 @dataclass(frozen=True)
 class PointReader:
-    """Reads the quantities from evaluations.
+    """Extracts the quantities from evaluations.
 
     Attributes
     ----------
     quantities
-        The cost first.
+        The quantities; the cost is the first.
     rows, sigmas : (outputs at times,)
-        Where their residuals stand, and what they are multiplied by to be in the output's unit.
+        Rows of the outputs' residuals, and factors that convert them to the output's unit.
     """
 
     quantities: tuple[AnalysedQuantity, ...]
@@ -59,10 +59,10 @@ class PointReader:
     sigmas: FloatArray = field(repr=False)
 
     def values(self, evaluations: Sequence[Evaluation]) -> FloatArray:
-        """(points, quantities): NaN where a simulation failed.
+        """Return the quantities of all points: (points, quantities); NaN if a simulation failed.
 
-        Of an output it is the difference to what was measured: that differs from the output by a
-        constant, which no index sees.
+        For an output, it is the difference from the measured value. Indices do not depend on this
+        constant.
         """
         found = np.full((len(evaluations), len(self.quantities)), np.nan)
         for row, at in zip(found, evaluations, strict=True):
@@ -75,15 +75,15 @@ class PointReader:
 def reader_of(space: SearchSpace, times: int) -> PointReader:
     """Choose the quantities of a space: the cost, and every output at some times of its record.
 
-    Where residuals are not differences at the measured times, as of curves and cost functions,
-    only the cost is read.
+    If residuals are not differences at measured times, as for curves and cost functions, only the
+    cost is used.
 
     Parameters
     ----------
     space
-        Of the experiments.
+        Search space of the experiments.
     times
-        Of each output in each experiment, spread evenly over its samples.
+        Number of times for each output in each experiment, spread evenly over its samples.
     """
     experiments = [space.problem.experiments[e] for e in space.experiments]
     records = make_records(experiments)
@@ -105,18 +105,18 @@ def reader_of(space: SearchSpace, times: int) -> PointReader:
 def with_log_cost(
     quantities: Sequence[AnalysedQuantity], values: FloatArray, cost: Cost
 ) -> tuple[tuple[AnalysedQuantity, ...], FloatArray]:
-    """Take the logarithm of the cost, where it is positive and no logarithm itself.
+    """Take the logarithm of the cost, if it is positive and not already a logarithm.
 
-    Between wide bounds a cost varies by orders of magnitude, and its own variance is that of its
-    few largest values.
+    Between wide bounds, a cost varies by orders of magnitude, and a few large values would dominate
+    its variance.
 
     Parameters
     ----------
     quantities
-        The cost first.
+        The quantities; the cost is the first.
     values : (points, quantities)
     cost
-        Of the problem.
+        Cost of the problem.
     """
     costs = values[:, 0]
     if cost.is_logarithm or not (costs > 0.0).all():
@@ -127,7 +127,7 @@ def with_log_cost(
 
 
 def _residuals_are_outputs(space: SearchSpace, samples: int) -> bool:
-    """Return whether each residual is an output's difference at one of its measured times."""
+    """Return whether each residual is the difference of an output at a measured time."""
     plain = all(
         space.problem.experiments[e].cost_function is None
         and space.problem.experiments[e].curve is None
@@ -138,18 +138,18 @@ def _residuals_are_outputs(space: SearchSpace, samples: int) -> bool:
 
 
 MOST_NAMED_INFLUENCES = 5
-"""Unknowns that a sentence names."""
+"""Largest number of unknowns that a sentence names."""
 
 UNSETTLED = 0.5
-"""Part of the largest index of the cost that is a wide interval."""
+"""Half-width of an interval, over the largest index of the cost, above which it is wide."""
 
 
 @dataclass(frozen=True)
 class IndexRow:
     """One index of one unknown, a row of indices.parquet.
 
-    `output` is "cost", "log(cost)" or an output's name, with the experiment and the time that the
-    index is of; `half_width` is that of its 95 % interval.
+    `output` is "cost", "log(cost)" or the name of an output, which has an experiment and a time.
+    `half_width` is half the width of the 95 % interval.
     """
 
     label: str
@@ -163,24 +163,23 @@ class IndexRow:
 
 @dataclass(frozen=True)
 class RankedUnknown:
-    """One unknown, a row of ranking.parquet; the one that moves the cost the most is first.
+    """One unknown, a row of ranking.parquet; rows are sorted by the influence on the cost.
 
     Attributes
     ----------
     label
-        Such as "k".
+        Label of the unknown, such as "k".
     value, half_width
-        The index of the cost that ranks it.
+        The index of the cost for the ranking, and half the width of its interval.
     size
         Root mean square of the sensitivities of the residuals at the start values, for a noticeable
         change, in sigmas.
     position
-        Its place in the order in which unknowns are best estimated, from 0; -1 where no
-        derivatives were had.
+        Position in the order of estimation, counted from 0; -1 if derivatives are not known.
     collinearity
-        With those before it in that order.
+        Collinearity index with the unknowns before it in this order.
     together
-        Whether it may be estimated together with those before it.
+        Whether it can be estimated together with the unknowns before it.
     """
 
     label: str
@@ -195,26 +194,26 @@ class RankedUnknown:
 @by_content
 @dataclass(frozen=True)
 class SensitivityResult:
-    """What a sensitivity analysis has found.
+    """The result of a sensitivity analysis.
 
     Attributes
     ----------
     problem, settings, seed
-        What was analysed, and how.
+        Problem, settings and random seed of the analysis.
     ranks
-        What unknowns are ranked by, such as "mu* of log(cost)".
+        The index for the ranking, such as "mu* of log(cost)".
     ranking
-        All unknowns, the one that moves the cost the most first.
+        All unknowns, sorted by their influence on the cost.
     indices
-        Of all quantities.
+        Indices of all quantities.
     groups, lost
-        Of points that were simulated, and how many of them a failure has taken away.
+        Number of simulated groups of points, and of those that are not used after a failure.
     evaluations, simulated, failures
-        Of points, simulations and those that failed.
+        Numbers of evaluated points, simulations and failed simulations.
     seconds
-        From start to end.
+        Duration of the analysis.
     why_no_order
-        Why there is no order of estimation; "" with an order.
+        The reason why there is no order of estimation; "" if there is one.
     """
 
     problem: Problem = field(repr=False)
@@ -233,11 +232,11 @@ class SensitivityResult:
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """Names of its tables, those of a run folder's files."""
+        """Names of the tables, as in a run folder."""
         return ("ranking", "indices")
 
     def table(self, name: str) -> pa.Table:
-        """One of `tables`.
+        """Return one of `tables`.
 
         Raises
         ------
@@ -255,11 +254,11 @@ class SensitivityResult:
 
     @property
     def search_seconds(self) -> float:
-        """Seconds that its simulations took, with what was computed from them."""
+        """Duration of the simulations and of the computation of indices, in seconds."""
         return self.seconds
 
     def facts(self) -> Mapping[str, Any]:
-        """Return what run.json says of it, besides what the run's folder knows itself."""
+        """Return the entries of run.json, except those that the run's folder adds."""
         return {
             "status": "done",
             "sensitivity": {
@@ -278,7 +277,7 @@ class SensitivityResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on failures, on how settled the ranking is, and on what goes together."""
+        """Sentences on failures, on the accuracy of the ranking, and on joint estimation."""
         found = list(self.problem.notes())
         if self.lost:
             found.append(
@@ -323,7 +322,7 @@ class SensitivityResult:
 
 
 def _named(labels: Sequence[str]) -> str:
-    """Some labels, and how many more there are."""
+    """Return some labels, and the number of the others, as a text."""
     shown = ", ".join(labels[:MOST_NAMED_INFLUENCES])
     more = len(labels) - MOST_NAMED_INFLUENCES
     return f"{shown} and {more} more" if more > 0 else shown

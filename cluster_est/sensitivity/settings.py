@@ -12,7 +12,7 @@ from workers.fmu.description import nearest
 
 
 class SensitivitySettings(Settings):
-    """The design of a sensitivity analysis, and what is computed from it."""
+    """Settings of the design and the indices of a sensitivity analysis."""
 
     section: ClassVar[str] = "sensitivity"
 

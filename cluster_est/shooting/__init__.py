@@ -1,1 +1,1 @@
-"""Multiple shooting: records in segments, each simulated from states that are estimated too."""
+"""Multiple shooting: records in segments, with estimated initial states of each segment."""

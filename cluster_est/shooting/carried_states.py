@@ -1,7 +1,7 @@
-"""Starts for the states behind gaps: as an output measures them, else carried on through the gap.
+"""Start values for the states after gaps, from measured outputs or from a simulation.
 
-A record that was split is simulated once as a whole, with its inputs drawn through its gaps. Where
-it then stands behind a gap is near enough to begin a search with.
+A record that was split is simulated once as a whole, with its inputs interpolated in the gaps. The
+simulated states after a gap are accurate enough as start values of a search.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from workers.messages import Experiment, FloatArray, Input, Output, OwnStart, Tr
 
 
 def with_carried_states(environment: RunEnvironment, problem: Problem) -> Problem:
-    """Return a problem whose parts behind gaps start as their simulated records stand there.
+    """Return a problem whose parts after gaps start with the states of the simulated records.
 
-    A part of which nothing is found keeps its starts.
+    A part without such states keeps its start values.
 
     Parameters
     ----------
     environment
-        Whose workers simulate; nothing of it is logged.
+        Environment whose workers run the simulations, which are not logged.
     problem
-        As `split_at_gaps` has left it.
+        Problem from `split_at_gaps`.
 
     Raises
     ------
     ModelError, ExecutorError
-        If there are no workers to be had.
+        If no workers can be started.
     ProblemError
-        If the model does not begin where it is set.
+        If the model does not start with the given states.
     """
     wholes = {name: whole for name in _split_records(problem) if (whole := _whole(problem, name))}
     if not wholes or noise_names(problem):
@@ -75,7 +75,7 @@ def with_carried_states(environment: RunEnvironment, problem: Problem) -> Proble
 
 
 def _probe(part: Experiment) -> Experiment:
-    """Return the beginning of a part, of which the states are recorded."""
+    """Return the first interval of a part, with the states as outputs."""
     measured = np.concatenate([output.times for output in part.outputs])
     end = float(np.min(measured[measured > part.start], initial=part.stop))
     times = np.array([part.start, end])
@@ -84,7 +84,7 @@ def _probe(part: Experiment) -> Experiment:
 
 
 def check_begin(part: Experiment, path: Trajectory | None) -> None:
-    """Refuse a model that computes its initial states, whatever they were set to."""
+    """Refuse a model that computes its initial states and ignores the given values."""
     if path is None:
         return
     for own in part.own_starts:
@@ -103,9 +103,9 @@ def _split_records(problem: Problem) -> list[str]:
 
 
 def _whole(problem: Problem, record: str) -> Experiment | None:
-    """Return a split record as one experiment up to its last part; None without its beginning.
+    """Return a split record as one experiment up to its last part; None without a first part.
 
-    It records the states, and the outputs, where outputs were measured and where parts begin.
+    States and outputs are recorded at the measured times and at the starts of the parts.
     """
     parts = [e for e in problem.experiments if e.record_id == record]
     first = next((e for e in parts if not e.own_starts), None)
@@ -133,7 +133,7 @@ def _whole(problem: Problem, record: str) -> Experiment | None:
 
 
 def _together(given: Sequence[tuple[Input, ...]]) -> tuple[Input, ...]:
-    """Return the inputs of the parts of a record as those of the record."""
+    """Return the inputs of a record, joined from those of its parts."""
     found = []
     for own in given[0]:
         same = [other for inputs in given for other in inputs if other.variable == own.variable]
@@ -144,7 +144,7 @@ def _together(given: Sequence[tuple[Input, ...]]) -> tuple[Input, ...]:
 
 
 def _begun(part: Experiment, path: Trajectory) -> Experiment:
-    """Return a part with starts for what is its own, from the simulation of its record."""
+    """Return a part with start values from the simulation of its record."""
     columns = {name: path.values[:, i] for i, name in enumerate(path.variables)}
     at = int(np.searchsorted(path.times, part.start))
     starts = tuple(_start(own, part, columns, at) for own in part.own_starts)

@@ -1,4 +1,4 @@
-"""States for segments to begin with: as measured, else carried on from segment to segment."""
+"""Start values for the initial states of segments, from measurements or from simulations."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from cluster_est.shooting.segment_space import segment_values
 from workers.messages import FloatArray, Outcome, Trajectory
 
 STATE_IN_OUTPUT_TOLERANCE = 1e-6
-"""Residual of a state as a line in an output, over the state's spread, up to which it is one."""
+"""Largest residual of a state that is a linear function of an output, over the state's spread."""
 LEAST_SAMPLES_FOR_STATE = 4
 LEAST_SPREAD_OF_STARTS = 1e-3
-"""Spread of segments' starts, over what is known of it, that says nothing."""
+"""Least spread of segments' starts, over the known spread of the state, that is used."""
 SAME_FIRST_STATE = 1e-6
-"""Distance of a segment's first state from what was set, over its size, that is negligible."""
+"""Negligible relative difference of a segment's first state from the given value."""
 
 
 @dataclass(frozen=True)
 class MeasuredState:
-    """A state that an output measures: state = offset + slope * output."""
+    """A state that is measured by an output: state = offset + slope * output."""
 
     state: int
     output: str
@@ -35,16 +35,16 @@ class MeasuredState:
 
 @dataclass(frozen=True)
 class FirstStates:
-    """States that a search of segments begins with.
+    """Start values of the states in a search with segments.
 
     Attributes
     ----------
     starts : (segments, states)
-        For each segment.
+        States at the start of each segment.
     spread : (states,)
         See `spread_of_states`.
     measured
-        Which of them an output measures.
+        The states that are measured by an output.
     """
 
     starts: FloatArray = field(repr=False)
@@ -53,16 +53,17 @@ class FirstStates:
 
 
 def first_states(runner: Runner, segmented: SegmentedProblem, train: SearchSpace) -> FirstStates:
-    """Simulate each record segment by segment, and put each segment where the record is measured.
+    """Simulate each record segment by segment, with measured states where they are available.
 
-    A state that is an output, or a line in one, begins each segment with the measured value. The
-    others go on as they ended; or they begin as the record did, in a segment that follows its data
-    better from there: what grows without limit at a wrong start of the parameters says nothing.
+    A state that is an output, or a linear function of one, starts each segment with the measured
+    value. Other states continue from the end of the previous segment. If a segment follows its data
+    better with the record's initial values of these states, those are used instead. With wrong
+    parameters, continued states may grow without limit.
 
     Raises
     ------
     ProblemError
-        If the model does not begin where it was set.
+        If the model does not start with the given states.
     """
     columns = [segmented.problem.parameters.index(p) for p in segmented.states.parameters]
     values = _at_start(segmented, train)
@@ -105,7 +106,7 @@ def _simulate(
 
 
 def _cost(segmented: SegmentedProblem, row: int, outcome: Outcome) -> float:
-    """The sum of squares of a segment's measured values; infinite where it failed."""
+    """Return the sum of squares of a segment's residuals; infinite if its simulation failed."""
     if outcome.residuals is None:
         return np.inf
     measured = outcome.residuals[segmented.segments[row].places >= 0]
@@ -119,7 +120,7 @@ def _as_measured(
     states: FloatArray,
     measured: tuple[MeasuredState, ...],
 ) -> FloatArray:
-    """States at the end of a segment, those that are measured there as they are measured."""
+    """Return the states at the end of a segment, with measured values if available."""
     segment = segmented.segments[row]
     record = segmented.original.experiments[segment.record]
     result = states.copy()
@@ -134,7 +135,7 @@ def _as_measured(
 def _from_first(
     segmented: SegmentedProblem, starts: FloatArray, measured: tuple[MeasuredState, ...]
 ) -> FloatArray:
-    """(segments, states): measured ones as they are, the others as at the record's start."""
+    """Return starts whose unmeasured states are those at the record's start: (segments, states)."""
     result = starts.copy()
     known = {each.state for each in measured}
     others = [i for i in range(starts.shape[1]) if i not in known]
@@ -144,7 +145,7 @@ def _from_first(
 
 
 def _at_start(segmented: SegmentedProblem, train: SearchSpace) -> FloatArray:
-    """(segments, parameters): the physical values of the fit's start."""
+    """Return the physical start values of the fit: (segments, parameters)."""
     values = segment_values(segmented, train)
     names = {p.name: i for i, p in enumerate(segmented.problem.parameters)}
     old = [names[p.name] for p in train.problem.parameters if not p.auxiliary]
@@ -157,7 +158,7 @@ def _at_start(segmented: SegmentedProblem, train: SearchSpace) -> FloatArray:
 
 
 def _states(segmented: SegmentedProblem, trajectory: Trajectory | None) -> FloatArray:
-    """(times, states) along a segment; empty where it failed, or in a last one without them."""
+    """Return the states along a segment: (times, states); empty if they are not known."""
     names = segmented.states.names
     if trajectory is None or any(name not in trajectory.variables for name in names):
         return np.zeros((0, len(names)))
@@ -168,7 +169,7 @@ def _states(segmented: SegmentedProblem, trajectory: Trajectory | None) -> Float
 def _check_begin(
     segmented: SegmentedProblem, row: int, path: Trajectory | None, wanted: FloatArray
 ) -> None:
-    """Refuse a model that computes its initial states, whatever they were set to."""
+    """Refuse a model that computes its initial states and ignores the given values."""
     segment = segmented.segments[row]
     if path is None or segment.is_last or path.times[0] != segment.experiment.start:
         return
@@ -186,7 +187,7 @@ def _check_begin(
 def find_measured(
     segmented: SegmentedProblem, rows: list[int], outcomes: list[Outcome]
 ) -> tuple[MeasuredState, ...]:
-    """Return for each state an output that it is, or a line in which it is, along simulations."""
+    """Return the states that equal an output, or a linear function of one, in simulations."""
     paths = [o.trajectory for o in outcomes if o.trajectory is not None]
     states = [_states(segmented, path) for path in paths]
     if not paths or not all(len(each) for each in states):
@@ -214,7 +215,7 @@ def find_measured(
 
 
 def line_between(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
-    """Offset and slope of a state as a line in an output; None if it is not a line."""
+    """Return offset and slope of a state as a linear function of an output; None if not linear."""
     if len(output) < LEAST_SAMPLES_FOR_STATE or not np.isfinite(output).all():
         return None
     spread = float(np.std(state))
@@ -227,7 +228,7 @@ def line_between(output: FloatArray, state: FloatArray) -> tuple[float, float] |
 
 
 def _spread_of_courses(segmented: SegmentedProblem, courses: Sequence[FloatArray]) -> FloatArray:
-    """(states,): the standard deviation of each along all segments; its nominal where that is 0."""
+    """Return each state's standard deviation along all segments; its nominal value instead of 0."""
     joined = np.concatenate(courses)
     known = segmented.problem.describe().variables
     nominal = np.array([known[name].nominal for name in segmented.states.names], np.float64)
@@ -244,9 +245,10 @@ def spread_of_states(
     measured: tuple[MeasuredState, ...],
     known: FloatArray,
 ) -> FloatArray:
-    """(states,): the standard deviation of each as it is measured, else over segments' starts.
+    """Return the standard deviation of each state: (states,).
 
-    Where those hardly differ, it is what was known of it before.
+    It is that of the measured output, or that over the starts of segments. If the starts hardly
+    differ, the known value is returned.
     """
     spread = np.std(starts, axis=0)
     for each in measured:

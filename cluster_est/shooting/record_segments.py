@@ -1,6 +1,6 @@
-"""Records cut into segments, as the settings of multiple shooting say.
+"""Cuts records into segments for multiple shooting.
 
-Each segment is an experiment of its own that ends with its states.
+Each segment is a separate experiment; its final states are additional residuals.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 
 LEAST_SAMPLES_OF_SEGMENT = 4
-"""Least samples of a segment that is cut in halves."""
+"""Least number of samples of a segment after halving."""
 
 
 class Shooting(Settings):
-    """The segments that each training record is cut into: their number, or their length."""
+    """The segments of each training record, given by their number or their length."""
 
     section: ClassVar[str] = "method.shooting"
 
@@ -57,7 +57,7 @@ class Shooting(Settings):
         return self
 
     def halved(self, problem: Problem) -> Shooting | None:
-        """Return the settings for segments half as long; None if they had too few samples."""
+        """Return the settings for segments of half the length; None if they had too few samples."""
         longest = max(
             (e.stop - e.start) / max((len(o.times) for o in e.outputs), default=1)
             for e in problem.experiments
@@ -77,19 +77,19 @@ class Shooting(Settings):
 
 @dataclass(frozen=True)
 class SegmentStates:
-    """The states of a model, and the parameters that hold them.
+    """The states of a model, and the parameters for their initial values.
 
     Attributes
     ----------
     names
-        In the order of the FMU.
+        Names of the states in the order of the FMU.
     owner
-        The state of each name that a state has.
+        The state to which each name or alias belongs.
     parameters
-        For each state, the parameter whose value a segment begins with: the problem's own where it
-        estimates the state, else one that is made for it.
+        For each state, the parameter for its initial value: that of the problem if there is one, or
+        an added parameter.
     added
-        Parameters that are made for the first states of segments.
+        The added parameters.
     """
 
     names: tuple[str, ...]
@@ -99,12 +99,12 @@ class SegmentStates:
 
 
 def segment_states(problem: Problem, description: ModelDescription) -> SegmentStates:
-    """Return the states of a model, if segments can begin with any of them.
+    """Return the states of a model, if their initial values can be set.
 
     Raises
     ------
     ProblemError
-        If the model has no states, or one cannot be set.
+        If the model has no states, or a state cannot be set.
     """
     names = description.states
     if not names:
@@ -163,15 +163,15 @@ class Segment:
     record
         Index of the record among the problem's experiments.
     number
-        Its place in the record, counted from 0.
+        Number of the segment in the record, counted from 0.
     experiment
-        What is simulated.
+        The simulated experiment.
     places : (residuals,)
-        Which residual of the record each of its own is; -1 for those of states at its end.
+        Index of each residual among those of the record; -1 for residuals of final states.
     ends
-        For each state the residual that it is at its end; empty in the last segment of a record.
+        Index of each final state's residual; empty for the last segment of a record.
     sigmas
-        Of those residuals.
+        Sigmas of these residuals.
     """
 
     record: int
@@ -195,11 +195,11 @@ class SegmentedProblem:
     original
         The problem with whole records.
     problem
-        With segments as its experiments, and a parameter for each state.
+        The problem with segments as its experiments, and a parameter for each state.
     segments
-        In the order of the records.
+        Segments in the order of the records.
     states
-        Of the model.
+        States of the model.
     """
 
     original: Problem
@@ -215,13 +215,13 @@ class SegmentedProblem:
 def cut(problem: Problem, shooting: Shooting) -> SegmentedProblem:
     """Cut the training records of a problem into segments.
 
-    A segment begins at a measured time, whose values belong to it, and ends where the next one
-    begins. States are estimated there, whatever is known of the record's own start.
+    A segment begins at a measured time, whose values belong to it, and ends at the start of the
+    next segment. The states at these times are estimated.
 
     Raises
     ------
     ProblemError
-        If the model, an effect or an experiment does not allow it.
+        If the model, an effect or an experiment does not allow segments.
     """
     description = problem.describe()
     states = segment_states(problem, description)
@@ -249,7 +249,7 @@ def cut(problem: Problem, shooting: Shooting) -> SegmentedProblem:
 
 
 def _check_effects(problem: Problem, description: ModelDescription) -> None:
-    """Refuse effects that remember: a segment does not know what came before it."""
+    """Refuse effects with memory, because a segment has no history."""
     if not problem.effects:
         return
     refuse_process_noise(problem, "method.shooting")
@@ -288,7 +288,7 @@ def _cut_record(
 
 
 def _edges(experiment: Experiment, shooting: Shooting) -> list[float]:
-    """Where segments begin and end: the measured times that are closest to equal parts."""
+    """Return the ends of segments: the measured times that are closest to equal parts."""
     start, stop = experiment.start, experiment.stop
     times = np.unique(np.concatenate([output.times for output in experiment.outputs]))
     inside = times[(times > start) & (times < stop)]
@@ -320,7 +320,7 @@ def _segment(
     outputs, places, first = [], [], 0
     for output in experiment.outputs:
         inside = (output.times >= start) & ((output.times < stop) | last)
-        chosen = np.flatnonzero(inside)  # none of them: it is recorded all the same
+        chosen = np.flatnonzero(inside)  # an output without samples is also recorded
         outputs.append(output.only(chosen))
         places.append(first + chosen)
         first += len(output.times)
@@ -368,20 +368,20 @@ def _output(outputs: Sequence[Output], name: str) -> Output:
 
 
 def _end_rows(outputs: Sequence[Output], states: SegmentStates) -> tuple[int, ...]:
-    """For each state the residual that it is at the end: the last one of its output."""
+    """Return the index of each final state's residual: the last residual of its output."""
     ends = np.cumsum([len(output.times) for output in outputs]).tolist()
     last = {output.variable: end - 1 for output, end in zip(outputs, ends, strict=True)}
     return tuple(last[name] for name in states.names)
 
 
 def _between(given: Input, start: float, stop: float) -> Input:
-    """The samples of an input that a segment needs: those within it, and one to either side."""
+    """Return the samples of an input within a segment, and the ones before and after it."""
     first = max(int(np.searchsorted(given.times, start, "right")) - 1, 0)
     behind = int(np.searchsorted(given.times, stop, "left")) + 1
     return replace(given, times=given.times[first:behind], values=given.values[first:behind])
 
 
 def measured_at(output: Output, time: float) -> float:
-    """Return what an output was at a time within its record, between its samples by a line."""
+    """Return the measured value of an output at a time, with linear interpolation."""
     times: FloatArray = output.times
     return float(np.interp(time, times, output.values))

@@ -1,10 +1,10 @@
-"""Searches on segments whose continuity counts more from one to the next.
+"""Searches with segments, with an increasing weight of the continuity.
 
-While it counts little, each segment follows its data and the parameters are those that suit all of
-them; there are few local minima, because no error of a parameter adds up over the record. Then the
-states are drawn together until the segments are one trajectory (the penalty method; J. Nocedal,
-S. J. Wright, Numerical Optimization (2006), doi:10.1007/978-0-387-40065-5, chapter 17). Orthogonal
-factorisation solves for the steps, so large weights cost no accuracy.
+With a small weight, each segment follows its data. There are few local minima, because errors of
+parameters do not accumulate over the record. The weight is then increased until the segments form
+one trajectory (the penalty method; J. Nocedal, S. J. Wright, Numerical Optimization (2006),
+doi:10.1007/978-0-387-40065-5, chapter 17). Steps are computed by orthogonal factorisation, so large
+weights do not reduce the accuracy.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from workers.messages import FloatArray, Output
 
 
 def signal_to_noise(problem: Problem) -> float:
-    """The root mean square, over outputs, of the spread of what was measured over its sigma."""
+    """Return the root mean square over outputs of the measured standard deviation over sigma."""
     ratios = [float(np.std(o.values)) / float(np.median(o.sigmas)) for o in _outputs(problem)]
     return float(np.sqrt(np.mean(np.square(ratios)))) or 1.0
 
 
 def cost_of_constants(problem: Problem) -> float:
-    """The sum of squares of constants in the place of all outputs of the training records."""
+    """Return the sum of squares if a constant is fitted to each output of each training record."""
     parts = [np.sum(((o.values - np.mean(o.values)) / o.sigmas) ** 2) for o in _outputs(problem)]
     return float(sum(parts))
 
@@ -52,13 +52,14 @@ class SegmentSolution:
     Attributes
     ----------
     space
-        With the weight of the search, starting at the solution.
+        Search space with the weight of the search; it starts at the solution.
     solution
-        Of the search.
+        Solution of the search.
     jumps : (ends,)
-        Differences between the end of a segment and the start of the next, in units of the states.
+        Differences between the start of a segment and the end of the previous segment, in the units
+        of the states.
     spread : (states,)
-        Of each state.
+        Standard deviation of each state.
     """
 
     space: SearchSpace
@@ -68,23 +69,23 @@ class SegmentSolution:
 
     @classmethod
     def of(cls, space: SearchSpace, solution: Solution, spread: FloatArray) -> SegmentSolution:
-        """Return the solution of a search of a space."""
+        """Return the segment solution for the solution of a search."""
         return cls(space.starting_at(solution.x), solution, _jumps(space, solution), spread)
 
     @property
     def works(self) -> bool:
-        """Whether its point could be simulated."""
+        """Whether the solution could be simulated."""
         return self.solution.at is not None and self.solution.at.ok
 
     @property
     def largest_jump(self) -> float:
-        """Over the spread of the state; NaN where nothing could be simulated."""
+        """The largest jump over the spread of the state; NaN if the simulation failed."""
         relative = np.abs(self.jumps) / np.resize(self.spread, len(self.jumps))
         return float(np.max(relative, initial=0.0))
 
     @property
     def data_cost(self) -> float:
-        """The sum of squares without that of the differences between segments."""
+        """The sum of squares without the differences between segments."""
         continuity = self.space.continuity
         assert continuity is not None
         counted = continuity.weight * self.jumps / continuity.scales
@@ -92,7 +93,7 @@ class SegmentSolution:
 
     @property
     def variance(self) -> float:
-        """Of the residuals of measured values; each state at an end takes one unknown with it."""
+        """The variance of the residuals; each continuity condition determines one unknown."""
         assert self.space.continuity is not None
         count = len(self.space.continuity.ends)
         measured = self.space.rows[-1].stop - count
@@ -100,10 +101,10 @@ class SegmentSolution:
 
 
 def price_of_continuity(loosest: SegmentSolution, found: SegmentSolution) -> float:
-    """Return the p-value of the rise in cost from free segments to one trajectory.
+    """Return the p-value of the cost increase from free segments to one trajectory.
 
-    By the F distribution, each end of a segment that is no longer free being one degree: a small
-    value says that the segments followed their data by jumps that no noise explains.
+    It follows from the F distribution, with one degree of freedom for each final state. If it is
+    small, the segments followed their data by jumps that noise does not explain.
     """
     assert found.space.continuity is not None
     ends = len(found.space.continuity.ends)
@@ -116,7 +117,7 @@ def price_of_continuity(loosest: SegmentSolution, found: SegmentSolution) -> flo
 
 
 def _jumps(space: SearchSpace, solution: Solution) -> FloatArray:
-    """Differences between segments, from the rows that count them."""
+    """Return the differences between segments, from their residuals."""
     continuity, at = space.continuity, solution.at
     assert continuity is not None
     if at is None or not at.ok:
@@ -127,11 +128,11 @@ def _jumps(space: SearchSpace, solution: Solution) -> FloatArray:
 
 
 def response(blocks: BlockMatrix, size: int) -> FloatArray:
-    """(unknowns of the segments, unknowns of the fit): how all move while the residuals are least.
+    """Return the change of all unknowns with the fit's unknowns, with minimal residuals.
 
-    The first `size` of them are the unknowns of the fit. The states of the segments are eliminated
-    one after the other, which stays accurate where the sensitivities of a whole simulation would
-    grow beyond all bounds.
+    The result has the shape (unknowns of the segments, unknowns of the fit). The first `size`
+    unknowns are those of the fit. The states of the segments are eliminated one after the other.
+    This is accurate even if the sensitivities of a whole simulation would grow without limit.
     """
     border = np.zeros(blocks.size, bool)
     border[:size] = True
@@ -152,12 +153,12 @@ def response(blocks: BlockMatrix, size: int) -> FloatArray:
 
 
 CONTINUITY_WEIGHTS = tuple(10.0**k for k in range(-1, 7))
-"""Weights of a difference as large as the spread of a state, over that of a sample as large as the
-spread of an output."""
+"""Weights of a difference of one standard deviation of a state, relative to a residual of one
+standard deviation of an output."""
 JOINED = 1e-3
-"""Largest difference between segments, over the spread of the state, of segments that join."""
+"""Largest difference between joined segments, over the spread of the state."""
 LOOSE = 1e-3
-"""`ftol` of all searches but the last ones."""
+"""Least `ftol` of all searches except the last one."""
 CONTINUOUS = 1e-6
 """Largest difference between segments, over the spread of the state, that is negligible."""
 UNNOTICED = 0.04
@@ -165,11 +166,11 @@ UNNOTICED = 0.04
 
 
 FOLLOWS = 0.05
-"""Cost of segments whose states are free, over that of constants, above which they are too long to
-follow what was measured."""
+"""Cost of segments with free states, over that of constants, above which the segments are too long
+to follow the data."""
 LEAST_REMAINING_DIFFERENCE = 0.3
-"""Part of the largest difference between segments that is left at a weight ten times as large,
-above which the rest is the error of the solver."""
+"""Ratio of the largest difference to that at a tenth of the weight, above which the difference is
+an error of the solver."""
 
 
 @dataclass(frozen=True)
@@ -181,10 +182,10 @@ class SegmentSearch:
     found
         The last solution.
     loosest
-        The first one, while a difference between segments counted least.
+        The first solution, with the smallest weight of continuity.
     too_long
-        Whether shorter segments are to be tried: these do not follow their data even from the best
-        states, or do not join.
+        Whether shorter segments should be tried, because these do not follow their data even with
+        free states, or do not join.
     """
 
     found: SegmentSolution
@@ -202,25 +203,25 @@ def search_segments(
     *,
     last: bool,
 ) -> SegmentSearch:
-    """Search with one weight after the other, until the segments are one trajectory.
+    """Search with increasing weights until the segments form one trajectory.
 
     Parameters
     ----------
     runner
-        Its executor has the segments.
+        Runs the simulations of the segments.
     segmented, space
-        The problem, and its space.
+        The problem in segments, and its search space.
     first
-        What the space begins with.
+        The start values of the states.
     method, seed
-        As for whole records.
+        Method and random seed, as for whole records.
     last
-        Whether there are no shorter segments.
+        Whether shorter segments are not possible.
     """
     searches = _Searches(runner, segmented, seed)
     unit, spread = signal_to_noise(segmented.original), first.spread
     loose = replace(method, ftol=max(method.ftol, LOOSE), differences="forward")
-    # forward sensitivities know nothing of the ends of segments
+    # forward sensitivities are not available for the final states of segments
     sensitive = method.differences == "sensitivities"
     strict = replace(method, differences="auto") if sensitive else method
     space = searches.fitted_states(weighted(space, unit * CONTINUITY_WEIGHTS[0], spread), loose)
@@ -239,13 +240,13 @@ def search_segments(
         if before is not None:
             small = before.largest_jump <= JOINED
             if small and found.largest_jump > LEAST_REMAINING_DIFFERENCE * before.largest_jump:
-                found = before  # what is left of the differences does not shrink with the weight
+                found = before  # the remaining differences do not decrease with the weight
                 break
             change = abs(found.data_cost - before.data_cost)
             if found.largest_jump <= CONTINUOUS or change <= UNNOTICED * found.variance:
-                break  # they are one trajectory, or a larger weight changes nothing any more
+                break  # the segments form one trajectory, or a larger weight has no effect
         before, space, spread = found, found.space, _spread(segmented, found, first)
-        if found.solution.ending is Ending.STALLED:  # short differences see noise alone
+        if found.solution.ending is Ending.STALLED:  # the differences contain only solver noise
             loose = replace(loose, differences="auto")
     last_one = searches.run(found.space, found.spread, strict, "segments, at the end")
     return SegmentSearch(last_one, loosest, not last and last_one.largest_jump > JOINED)
@@ -266,10 +267,10 @@ class _Searches:
         return SegmentSolution.of(space, self._solution(space, method, name), spread)
 
     def fitted_states(self, space: SearchSpace, method: LeastSquares) -> SearchSpace:
-        """Return the space from states that suit the data while the parameters stay.
+        """Return the space that starts with states fitted to the data, with constant parameters.
 
-        What is not measured has nothing better to begin with than a simulation; without this, the
-        parameters would move to make up for it.
+        Unmeasured states start with simulated values. Without this fit, the parameters would change
+        to compensate the errors of these values.
         """
         alone = states_alone(self.segmented, space)
         solution = self._solution(alone, method, "segments, states alone")
@@ -282,7 +283,7 @@ class _Searches:
 
 
 def _spread(segmented: SegmentedProblem, found: SegmentSolution, first: FirstStates) -> FloatArray:
-    """The spread of the states, where those that are not measured are found now."""
+    """Return the spread of the states at a solution."""
     columns = [segmented.problem.parameters.index(p) for p in segmented.states.parameters]
     starts = np.asarray(found.space.physical(found.solution.x)[:, columns])
     return spread_of_states(segmented, starts, first.measured, found.spread)

@@ -1,7 +1,7 @@
-"""The search space of segments: the unknowns of the fit, then the states that segments begin with.
+"""The search space of segments: the unknowns of the fit, then the initial states of segments.
 
 The unknowns of the fit keep their order and labels, so the first entries of a point are a point of
-the fit itself.
+the fit.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from workers.messages import FloatArray
 
 
 def segment_values(segmented: SegmentedProblem, train: SearchSpace) -> FloatArray:
-    """Return (segments, parameters): the values of the start, before states are known.
+    """Return the start values before the states are known: (segments, parameters).
 
     Parameters
     ----------
     segmented, train
-        The problem in segments, and the space of the fit.
+        The problem in segments, and the search space of the fit.
     """
     columns = {p.name: i for i, p in enumerate(segmented.problem.parameters)}
     old = [columns[p.name] for p in train.problem.parameters]
@@ -50,11 +50,11 @@ def make_segment_space(
     Parameters
     ----------
     segmented, train
-        The problem in segments, and the space of the fit.
+        The problem in segments, and the search space of the fit.
     starts : (segments, states)
-        What the search begins with; those of first segments are not used.
+        Start values of the states; those of first segments are not used.
     spread : (states,)
-        Of each state along the records.
+        Standard deviation of each state along the records.
     """
     problem, states = segmented.problem, segmented.states
     columns = {p.name: i for i, p in enumerate(problem.parameters)}
@@ -94,16 +94,16 @@ def make_segment_space(
 
 
 def weighted(space: SearchSpace, weight: float, spread: FloatArray | None = None) -> SearchSpace:
-    """Return the space with a weight of the differences between segments.
+    """Return the space with another weight of the differences between segments.
 
     Parameters
     ----------
     space
-        Of segments.
+        Search space of segments.
     weight
-        For a difference as large as a state's spread.
+        Weight of a difference of one spread of a state.
     spread : (states,)
-        Takes the place of the one before; None to keep it.
+        New spread of the states; None to keep it.
     """
     known = space.continuity
     assert known is not None
@@ -115,7 +115,7 @@ def weighted(space: SearchSpace, weight: float, spread: FloatArray | None = None
 
 
 def states_alone(segmented: SegmentedProblem, space: SearchSpace) -> SearchSpace:
-    """Return the space in which the parameters stay at their starts and the states are searched."""
+    """Return the space in which only the states are unknown; parameters keep their start values."""
     names = segmented.states.owner
     kept = [i for i, u in enumerate(space.unknowns) if u.parameter.target in names]
     place = {old: new for new, old in enumerate(kept)}
@@ -136,7 +136,7 @@ def states_alone(segmented: SegmentedProblem, space: SearchSpace) -> SearchSpace
 
 
 def with_states(segmented: SegmentedProblem, space: SearchSpace, x: FloatArray) -> SearchSpace:
-    """Return the space that starts from states as `states_alone` has them."""
+    """Return the space that starts with these states, in the order of `states_alone`."""
     names = segmented.states.owner
     start = space.start.copy()
     start[[u.parameter.target in names for u in space.unknowns]] = x
@@ -146,11 +146,11 @@ def with_states(segmented: SegmentedProblem, space: SearchSpace, x: FloatArray) 
 def _of_fit(
     segmented: SegmentedProblem, train: SearchSpace, columns: dict[str, int]
 ) -> list[Unknown]:
-    """The unknowns of the fit: parameters act on all segments, states on the first ones."""
+    """Return the fit's unknowns: parameters act on all segments, states on first segments."""
     position = {record: i for i, record in enumerate(train.experiments)}
     found = []
     for unknown, typical in zip(train.unknowns, train.typical.tolist(), strict=True):
-        size = typical if unknown.start else unknown.size  # where it is 0 too, it is measured
+        size = typical if unknown.start else unknown.size  # if it is also 0, it is measured later
         is_state = unknown.parameter.target in segmented.states.owner
         inside = tuple(
             row

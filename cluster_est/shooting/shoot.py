@@ -1,4 +1,4 @@
-"""The recipe of multiple shooting: cut, begin, search, join."""
+"""Multiple shooting: cut records into segments, find start values, search, and join segments."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from workers.messages import FloatArray, Outcome, Trajectory
 def joined_simulations(
     runner: Runner, segmented: SegmentedProblem, found: SegmentSolution
 ) -> list[Simulation]:
-    """Simulate the segments once more, and join those of each record.
+    """Simulate the segments again, and join those of each record.
 
-    Where a segment failed, so has its record.
+    If the simulation of a segment fails, that of its record also counts as failed.
     """
     everything = tuple(range(len(segmented.segments)))
     values = found.space.physical(found.solution.x)
@@ -89,11 +89,11 @@ def joined_solution(
     found: SegmentSolution,
     simulations: list[Simulation],
 ) -> Solution:
-    """Return the solution on segments as one of the fit.
+    """Return the solution with segments as a solution of the fit.
 
-    Its Jacobian has the derivatives by the fit's unknowns while the states of all segments follow:
-    they are eliminated from the Jacobian of the segments, which stays accurate where the
-    sensitivities of a whole simulation would grow beyond all bounds.
+    Its Jacobian contains the derivatives by the fit's unknowns, with the states of all segments
+    adapted to them. The states are eliminated from the Jacobian of the segments. This is accurate
+    even if the sensitivities of a whole simulation would grow without limit.
     """
     solution = found.solution
     x = solution.x[: train.size]
@@ -117,7 +117,7 @@ def joined_solution(
 
 
 def _reduced(segmented: SegmentedProblem, train: SearchSpace, blocks: BlockMatrix) -> FloatArray:
-    """(residuals of the fit, unknowns of the fit)."""
+    """Return the Jacobian of the fit: (residuals of the fit, unknowns of the fit)."""
     moved = response(blocks, train.size)
     result = np.zeros((train.rows[-1].stop, train.size))
     position = {record: i for i, record in enumerate(train.experiments)}
@@ -132,27 +132,27 @@ def _reduced(segmented: SegmentedProblem, train: SearchSpace, blocks: BlockMatri
 
 
 LOWER = 0.99
-"""Cost of shorter segments, over that of the longer ones, from which on they change nothing."""
+"""Ratio of costs of shorter and longer segments above which shorter segments do not help."""
 
 
 @dataclass(frozen=True)
 class ShotFit:
-    """What multiple shooting found.
+    """The result of multiple shooting.
 
     Attributes
     ----------
     solution
-        Of the fit, on segments; None where they led nowhere.
+        Solution of the fit with segments; None if it failed.
     simulations
-        Of each training record, joined from its segments.
+        Simulation of each training record, joined from its segments.
     summary
-        For the result.
+        Summary for the result of the fit.
     interrupted
-        Whether it was.
+        Whether the search was interrupted.
     evaluations, simulated, failures
-        What it took.
+        Numbers of evaluated points, simulations and failed simulations.
     too_long
-        Whether segments could not follow their data, and shorter ones may.
+        Whether the segments did not follow their data, so that shorter ones may help.
     """
 
     solution: Solution | None
@@ -166,12 +166,12 @@ class ShotFit:
 
 
 def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> SegmentedProblem:
-    """Refuse a fit that segments cannot help; return the segments.
+    """Refuse a fit for which segments are not possible; return the segments.
 
     Raises
     ------
     ProblemError
-        With what to change.
+        If the method, the cost, the model or an experiment does not allow segments.
     """
     if not isinstance(method, LeastSquares):
         raise ProblemError(
@@ -195,21 +195,21 @@ def shoot(
     shooting: Shooting,
     seed: int,
 ) -> ShotFit:
-    """Fit the training records in segments; in shorter ones, where those do not follow their data.
+    """Fit the training records in segments; use shorter ones if these do not follow their data.
 
     Parameters
     ----------
     environment
         Workers, budget and listeners.
     train
-        The space of the fit.
+        Search space of the fit.
     method, shooting, seed
-        How to search.
+        Method, segments and random seed.
 
     Raises
     ------
     ClusterEstError
-        If the model does not allow it, or there are no workers.
+        If the model does not allow segments, or no workers can be started.
     """
     segmented = check_shooting(train, method, shooting)
     asked, begin = len(segmented.segments), time.monotonic()
@@ -227,7 +227,7 @@ def shoot(
         )
         taken.append(shot)
         if best is not None and shot.summary.cost > LOWER * best.summary.cost:
-            shot = best  # shorter segments lead to the same, so it is not for their length
+            shot = best  # shorter segments give the same result, so the length is not the cause
             break
         best = None if shot.too_long else shot
         followed = not shot.too_long and shot.summary.continuity_p > SURPRISING
@@ -251,7 +251,7 @@ def _shoot(
     *,
     last: bool,
 ) -> ShotFit:
-    """Fit in these segments, by a method and from a seed."""
+    """Fit with these segments; `how` are the method and the random seed."""
     problem = segmented.problem
     with environment.executor(problem) as executor:
         runner = environment.runner(executor, record=environment.record_of(problem))
@@ -278,7 +278,7 @@ def _shoot(
 
 
 def _honest(solution: Solution, found: SegmentSolution) -> Solution:
-    """A solution whose segments do not follow each other is none."""
+    """Mark a solution as not converged if its segments do not join."""
     if found.largest_jump <= JOINED or not solution.ending.success:
         return solution
     message = (
@@ -336,29 +336,29 @@ def _states(
 
 
 WORTH_TRYING = 0.5
-"""Cost of whole records, over that of constants, below which a search on them is begun."""
+"""Largest cost of whole records, over that of constants, for a search with whole records."""
 AS_GOOD = 1e-3
-"""Part by which the cost of whole records may be above that of the segments."""
+"""Largest relative excess of the cost of whole records over that of the segments."""
 PROMISED = 0.3
-"""Ratio of a standard error from whole records to that from segments, below which it is not
-believed: states that may differ between segments by what is no difference would undo it."""
+"""Ratio of standard errors from whole records to those from segments below which the first are
+unreliable. Negligible differences of states between segments would then change them."""
 EXACT_FIT_COST = 1e-9
-"""Part of the cost of constants by which the cost of whole records may be above that of the
-segments too, where these leave nothing of the residuals."""
+"""Additional excess of the cost of whole records, over the cost of constants, for segments with
+residuals of 0."""
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What the search of a fit has found, on whole records or on segments.
+    """The result of the search of a fit, with whole records or with segments.
 
     Attributes
     ----------
     minima
-        Of the search that counts.
+        Result of the final search.
     segmented
-        Simulations of the training records in segments, where only those follow the data.
+        Simulations of the training records in segments, if the result holds only for segments.
     shooting
-        What multiple shooting did; None for a search on whole records alone.
+        Summary of multiple shooting; None for a search with only whole records.
     """
 
     minima: MultistartResult
@@ -366,7 +366,7 @@ class SearchResult:
     shooting: ShootingSummary | None = None
 
     def without(self, asked: tuple[str, ...]) -> SearchResult:
-        """Return it with what was asked for and cannot be computed from segments."""
+        """Return the result with a list of requested results that segments do not allow."""
         if not self.segmented or self.shooting is None:
             return self
         return replace(self, shooting=replace(self.shooting, left_out=asked))
@@ -375,13 +375,13 @@ class SearchResult:
 def fit_whole_records(
     runner: Runner, train: SearchSpace, method: Method, shot: ShotFit, seed: int
 ) -> SearchResult:
-    """Finish a fit on whole records, if those follow the data from where the segments ended.
+    """Finish a fit with whole records, if they follow the data from the solution with segments.
 
-    Else the solution on segments stands. It also stands where the derivatives of whole records
-    promise much more than those of the segments: of a chaotic model the cost of one trajectory has
-    very many minima, all about as good and each far narrower than the distance to the next (L. M.
-    Berliner, Stat. Sci. 7 (1992) 69-122, doi:10.1214/ss/1177011444). Where segments led nowhere,
-    it is an ordinary fit.
+    Otherwise, the solution with segments is kept. It is also kept if whole records give much
+    smaller standard errors than segments. The cost of one trajectory of a chaotic model has very
+    many equally good minima, and each is far narrower than their distance (L. M. Berliner, Stat.
+    Sci. 7 (1992) 69-122, doi:10.1214/ss/1177011444). If the segments failed, this is an ordinary
+    fit.
     """
     summary = shot.summary
     if shot.solution is None:
@@ -407,7 +407,7 @@ def fit_whole_records(
 
 
 def _promised(train: SearchSpace, whole: Solution, segments: Solution) -> float:
-    """The least ratio of a standard error from whole records to that from segments."""
+    """Return the least ratio of a standard error from whole records to that from segments."""
     known = [
         np.array([interval.std_error for interval in intervals(train, solution)])
         for solution in (whole, segments)

@@ -1,1 +1,1 @@
-"""Residuals as stacked records, their noise, and tests of what is left in them."""
+"""Statistics of residuals: records, noise, and tests for structure."""

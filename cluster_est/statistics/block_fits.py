@@ -1,11 +1,11 @@
-"""Rows of a long record as fewer values: in each block a parabola, and its values at three nodes.
+"""Reduces long records to fewer values: a parabola in each block, and its values at three nodes.
 
-The nodes are the zeros of the third polynomial that is orthogonal on the samples of the block,
-those of Gauss' quadrature (G. H. Golub, J. H. Welsch, Math. Comp. 23 (1969) 221-230,
-doi:10.1090/S0025-5718-69-99647-1). White noise stays white in these values, each stands for as many
-samples as its weight says, and nothing is lost that a parabola holds. Cubics are met at the nodes
-too: values are off by the fourth derivative alone, and what is of fourth degree in a block says
-whether it was too long.
+The nodes are the zeros of the third orthogonal polynomial on the samples of the block, as in Gauss
+quadrature (G. H. Golub, J. H. Welsch, Math. Comp. 23 (1969) 221-230,
+doi:10.1090/S0025-5718-69-99647-1). White noise stays white in these values. Each value counts as
+many samples as its weight. Parabolas are preserved, and the values of cubics at the nodes are also
+exact, so errors come from the fourth derivative. A large coefficient of fourth degree therefore
+shows that a block is too long.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from scipy.sparse import coo_array, csr_array
 from workers.messages import FloatArray, IntArray
 
 DEGREE = 4
-"""Of the polynomial that a block is compared with."""
+"""Degree of the polynomial that is fitted to each block."""
 
 NODES = 3
-"""Values that a block leaves: as many as a parabola has coefficients."""
+"""Number of values per block: the number of coefficients of a parabola."""
 
 SHORTEST_BLOCK = 8
-"""Samples that a block has at least; what cannot be cut into such blocks stays as it is."""
+"""Least number of samples in a block; shorter ranges are not reduced."""
 
 MANY_SAMPLES = 200_000
-"""In blocks that are fitted at once: 40 MB."""
+"""Number of samples in blocks that are fitted at once; they need 40 MB."""
 
 MEDIAN_OF_SQUARE = 0.4549
-"""Median of x^2 where x is normal with variance 1."""
+"""Median of x^2 for a normal x with variance 1."""
 
 PREDICTING, MOST_PREDICTED = 8, 5000
-"""Samples that predict the next one, and samples from which it is learnt how."""
+"""Number of samples that predict the next one, and largest number of samples for the fit."""
 
 UNLIKELY = 25.0
-"""Sum of two squares of normal numbers, of variance 1, that is no noise: p = 4e-6."""
+"""Sum of two squares of normal numbers of variance 1 above which it is not noise: p = 4e-6."""
 
 NEIGHBOURS = 15
-"""Blocks whose median says how large the noise is around a block, where it is not even."""
+"""Number of neighbouring blocks whose median variance is the noise around a block."""
 
 MOST_CORRELATED = 0.9999
-"""Correlation of one sample with the next, up to which noise is told by its size within blocks."""
+"""Largest correlation of successive samples that can be determined within blocks."""
 
 SPREAD = 6.0
-"""Standard errors by which the variance in a block may exceed that of the noise."""
+"""Number of standard errors by which the variance in a block may exceed that of the noise."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,12 @@ class BlockFits:
     Attributes
     ----------
     bounds : (b, 2)
-        The first sample of each block, and the one behind its last.
+        The first sample of each block, and the one after its last.
     third, fourth : (b,)
-        Coefficients of polynomials that are orthonormal on the samples: for a parabola in white
-        noise their standard deviation is that of the noise.
+        Coefficients of polynomials that are orthonormal on the samples. For a parabola in white
+        noise, their standard deviation is that of the noise.
     variances : (b,)
-        Of what is left within each block.
+        Variance of the residuals in each block.
     """
 
     bounds: IntArray
@@ -87,27 +87,27 @@ class BlockFits:
 
     @property
     def noise(self) -> float:
-        """Variance of the noise within blocks, also where some blocks have more than noise."""
+        """Robust variance of the noise within blocks; some blocks may contain more than noise."""
         return float(np.median(self.variances)) if len(self.variances) else 0.0
 
     @property
     def noise_memory(self) -> NoiseMemory:
-        """The first-order autoregression whose noise bends as much over what it leaves."""
+        """The first-order autoregression with the same ratio of `bent` to `noise`."""
         length = int(np.median(np.diff(self.bounds))) if len(self.bounds) else SHORTEST_BLOCK
         return noise_memory(self.bent / self.noise if self.noise else 1.0, length)
 
     @property
     def bent(self) -> float:
-        """Mean square of the fourth coefficient, whatever a few blocks are like."""
+        """Robust mean square of the fourth coefficient."""
         return float(np.median(self.fourth**2)) / MEDIAN_OF_SQUARE if len(self.fourth) else 0.0
 
     def poor(self, slow: float) -> npt.NDArray[np.bool_]:
-        """Return in which blocks there is more than a parabola and noise.
+        """Return a mask of the blocks that contain more than a parabola and noise.
 
         Parameters
         ----------
         slow
-            Variance of the noise in a coefficient; `noise` where it is white.
+            Variance of the noise in a coefficient; `noise` for white noise.
         """
         around = median_filter(self.variances, NEIGHBOURS, mode="nearest")
         variances = np.maximum(around, self.noise)
@@ -119,16 +119,16 @@ class BlockFits:
 
 @dataclass(frozen=True)
 class NoiseMemory:
-    """Noise of variance 1 that is a first-order autoregression, in blocks of one length.
+    """First-order autoregressive noise of variance 1, in blocks of one length.
 
     Attributes
     ----------
     correlation
-        Of one sample with the next.
+        Correlation of successive samples.
     within
-        Variance that a polynomial leaves within a block.
+        Variance of the residuals of a polynomial within a block.
     middle
-        Variance of a parabola's value in the middle of a block.
+        Variance of the value of a parabola in the middle of a block.
     """
 
     correlation: float
@@ -137,14 +137,14 @@ class NoiseMemory:
 
 
 def noise_memory(bent: float, length: int) -> NoiseMemory:
-    """Return the autoregression whose noise has some variance of the fourth coefficient.
+    """Return the first-order autoregression with a given variance of the fourth coefficient.
 
     Parameters
     ----------
     bent
-        That variance, over the one within blocks: 1 for white noise.
+        This variance over that within blocks: 1 for white noise.
     length
-        Samples of a block, evenly spaced.
+        Number of samples in a block, which are evenly spaced.
     """
     q = _orthonormal(np.linspace(-1.0, 1.0, length)[None])[0]
     apart = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
@@ -171,7 +171,7 @@ def noise_memory(bent: float, length: int) -> NoiseMemory:
 def block_values(
     bounds: IntArray, times: FloatArray, *, at_samples: bool = False
 ) -> tuple[FloatArray, csr_array]:
-    """Return the nodes of each block, and what makes the values of its parabola there.
+    """Return the nodes of each block, and the weights that compute the parabola's values there.
 
     With q_j the orthonormal polynomials on a block's samples, the nodes are the eigenvalues of the
     matrix of sum_i t_i q_j(t_i) q_k(t_i), and weights are sum_j q_j(node) q_j(t_i), for j, k < 3.
@@ -179,9 +179,9 @@ def block_values(
     Parameters
     ----------
     bounds : (b, 2)
-        Of blocks of `SHORTEST_BLOCK` samples at least.
+        Bounds of blocks with at least `SHORTEST_BLOCK` samples.
     at_samples
-        Take the samples nearest to the nodes in their place.
+        Whether to replace each node by the nearest sample.
 
     Returns
     -------
@@ -212,9 +212,9 @@ def block_values(
 def _polynomials(
     bounds: IntArray, times: FloatArray
 ) -> Iterator[tuple[IntArray, IntArray, FloatArray, FloatArray]]:
-    """Give blocks of one length: which, their samples, polynomials there, times from -1 to 1.
+    """Yield blocks of one length: indices, samples, polynomials, and times scaled to -1 to 1.
 
-    Polynomials are (b, 5, k) for k samples.
+    Polynomials have the shape (b, 5, k) for k samples.
     """
     counts = np.diff(bounds)[:, 0]
     for count in np.unique(counts).tolist():
@@ -227,11 +227,11 @@ def _polynomials(
 
 
 def _orthonormal(at: FloatArray) -> FloatArray:
-    """Polynomials that are orthonormal on samples (b, k) of each block, by their recurrence.
+    """Return polynomials that are orthonormal on the samples (b, k) of each block.
 
-    q_{p+1} is what is left of t q_p without its parts along q_p and q_{p-1}, over its norm: that is
-    the iteration of Lanczos, which a few degrees do not spoil (W. Gautschi,
-    SIAM J. Sci. Stat. Comput. 3 (1982) 289-317, doi:10.1137/0903018).
+    q_{p+1} is t q_p minus its projections on q_p and q_{p-1}, over its norm. This is the Lanczos
+    iteration, which is stable for a few degrees (W. Gautschi, SIAM J. Sci. Stat. Comput. 3 (1982)
+    289-317, doi:10.1137/0903018).
     """
     q = np.empty((len(at), DEGREE + 1, at.shape[1]))
     q[:, 0] = at.shape[1] ** -0.5
@@ -244,7 +244,7 @@ def _orthonormal(at: FloatArray) -> FloatArray:
 
 
 def unpredicted(values: FloatArray) -> float:
-    """Variance of what a linear prediction from the samples before leaves: noise, and no signal."""
+    """Return the variance of the errors of a linear prediction from earlier samples: the noise."""
     some = values[:MOST_PREDICTED]
     windows = np.lib.stride_tricks.sliding_window_view(some, PREDICTING + 1)
     before = np.column_stack([windows[:, :-1], np.ones(len(windows))])
@@ -253,13 +253,13 @@ def unpredicted(values: FloatArray) -> float:
 
 
 def even_blocks(stretches: IntArray, length: int) -> IntArray:
-    """Cut stretches of samples into blocks of about one length, (b, 2).
+    """Divide ranges of samples into blocks of about the same length: (b, 2).
 
     Parameters
     ----------
     stretches : (s, 2)
-        The first sample of each, and the one behind its last. What is shorter than the length is a
-        block of its own.
+        The first sample of each range, and the one after its last. A range that is shorter than
+        `length` becomes one block.
     """
     found = [np.zeros((0, 2), int)]
     for first, last in stretches.tolist():

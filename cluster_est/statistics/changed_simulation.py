@@ -1,8 +1,8 @@
-"""Whether measurements prefer a changed simulation to the one that was fitted to them.
+"""Tests whether the measurements prefer a changed simulation to the fitted one.
 
-Symbols: r the residuals of the fit, d what the change does to them, P the projection that takes out
-what the parameters could absorb, a the share of the change that the measurements ask for: 0 for the
-fitted simulation, 1 for the changed one.
+Symbols: r are the residuals of the fit, and d is their change. P is the projection that removes
+what the parameters could absorb. a is the best share of the change: 0 for the fitted simulation, 1
+for the changed one.
 """
 
 from __future__ import annotations
@@ -18,32 +18,33 @@ from cluster_est.statistics.residual_tests import autocorrelation
 from workers.messages import FloatArray
 
 BLOCKS = 30
-"""Blocks of time that all records together are cut into, at least."""
+"""Least number of time blocks of all records together."""
 LEAST_BLOCKS_OF_RECORD = 4
 REJECTED = 4.0
-"""Standard errors that the share lies above 0 at least: the fitted simulation is rejected."""
+"""Least distance of the share from 0, in standard errors, to reject the fitted simulation."""
 BETTER = 2.0
-"""Standard errors that it lies above one half: the changed one leaves smaller squares."""
+"""Least distance of the share above one half, in standard errors; the changed simulation then has
+the smaller sum of squares."""
 NEAR, COMPATIBLE = 0.3, 2.5
-"""Distance of the share from 1, and the same in standard errors, one of which it must keep."""
+"""Largest distance of the share from 1, absolute or in standard errors; one of both suffices."""
 LEAST_FALL = 0.01
-"""Least fall of the sum of squares, as a part of it, that is worth a word."""
+"""Least relative decrease of the sum of squares that is reported."""
 UNSEEN = 1e-9
-"""Size of the projected change, over that of the change: less is rounding."""
+"""Size of the projected change, over that of the change, below which it is rounding error."""
 
 
 @dataclass(frozen=True)
 class ChangedSimulation:
-    """What measurements say of a changed simulation.
+    """Comparison of a changed simulation with the fitted one.
 
     Attributes
     ----------
     share, error
-        Of the change that the measurements ask for, and its standard error.
+        Best share of the change, and its standard error.
     before, after
-        Sums of squares over the noise, after the parameters have followed the change.
+        Sums of squares over the noise, after the parameters were adapted to the change.
     gain : (n,)
-        By how much the square of each residual falls.
+        Decrease of the square of each residual.
     """
 
     share: float
@@ -54,14 +55,14 @@ class ChangedSimulation:
 
     @property
     def fall(self) -> float:
-        """Of the sum of squares, as a part of it."""
+        """Relative decrease of the sum of squares."""
         return 1.0 - self.after / self.before
 
     @property
     def preferred(self) -> bool:
-        """Whether the fitted simulation is rejected, and the changed one is not, and is better.
+        """Whether the fitted simulation is rejected, and the changed one is better and plausible.
 
-        Something else that the model lacks asks for another share of the change than all of it.
+        If the model lacks something else, the best share differs from 1.
         """
         off = abs(self.share - 1.0)
         return (
@@ -77,29 +78,28 @@ def compare_simulations(
 ) -> ChangedSimulation | None:
     """Compare a fitted simulation with a changed one at the same values of the parameters.
 
-    The share a of the change is estimated by least squares in r = -a P d + e, which nests both
-    simulations: the J test of R. Davidson, J. G. MacKinnon, Econometrica 49 (1981) 781-793,
-    doi:10.2307/1911522, with the parameters of the changed simulation where they follow the change
-    to first order. Its standard error is the largest of three: of white noise; of noise whose
-    autocorrelation is that of the residuals e of each output; and from the sums of d e over blocks
-    of time, whatever the noise (A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29
-    (2011) 238-249, doi:10.1198/jbes.2010.07136, with blocks as clusters). That it is above one half
-    says that the changed simulation leaves the smaller sum of squares (Q. H. Vuong, Econometrica 57
-    (1989) 307-333, doi:10.2307/1912557).
+    The share a of the change is estimated by least squares in r = -a P d + e, which contains both
+    simulations. This is the J test of R. Davidson, J. G. MacKinnon, Econometrica 49 (1981) 781-793,
+    doi:10.2307/1911522; the parameters are adapted to the change to first order. The standard error
+    is the largest of three: for white noise, for noise with the autocorrelation of the residuals e
+    of each output, and from the sums of d e over blocks of time for any noise (A. C. Cameron, J. B.
+    Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29 (2011) 238-249, doi:10.1198/jbes.2010.07136, with
+    blocks as clusters). If the share is above one half, the changed simulation has the smaller sum
+    of squares (Q. H. Vuong, Econometrica 57 (1989) 307-333, doi:10.2307/1912557).
 
     Parameters
     ----------
     residuals, changed : (n,)
-        Of both simulations, in the order of the records.
+        Residuals of both simulations, in the order of the records.
     jacobian : (n, unknowns)
-        Of the residuals, at the same values.
+        Derivatives of the residuals at the same values.
     records
-        Of the residuals. Each output is weighted by the size of its own residuals.
+        Records of the residuals. Each output is weighted by the size of its residuals.
 
     Returns
     -------
     ChangedSimulation or None
-        None where the change does nothing that the parameters could not, or nothing is left.
+        None if the parameters can absorb the change, or if no residuals remain.
     """
     weights = _weights(residuals, records)
     projection = OrthogonalProjection(jacobian * weights[:, None])
@@ -125,7 +125,7 @@ def compare_simulations(
 
 
 def _weights(residuals: FloatArray, records: StackedRecords) -> FloatArray:
-    """One over the root mean square of each output."""
+    """Return one over the root mean square of each output's residuals."""
     weights = np.zeros(len(residuals))
     for output in range(len(records.outputs)):
         rows = records.of_output(output)
@@ -135,7 +135,7 @@ def _weights(residuals: FloatArray, records: StackedRecords) -> FloatArray:
 
 
 def _stationary(change: FloatArray, rest: FloatArray, records: StackedRecords) -> float:
-    """Variance of the sum of d e for white noise, or for stationary noise if that is larger."""
+    """Return the variance of the sum of d e: the larger of white noise and stationary noise."""
     total = 0.0
     for output in range(len(records.outputs)):
         items = [item for item in records.items if item.output == output and len(item.times)]
@@ -156,7 +156,7 @@ def _stationary(change: FloatArray, rest: FloatArray, records: StackedRecords) -
 
 
 def _products(signal: FloatArray) -> FloatArray:
-    """Sums of s_t s_{t+k}, for each k from 0 on."""
+    """Return the sums of s_t s_{t+k} for k = 0, 1, ..."""
     padded = next_fast_len(2 * len(signal), real=True)
     spectrum = rfft(signal, padded)
     found: FloatArray = irfft(spectrum.real**2 + spectrum.imag**2, padded)[: len(signal)]
@@ -164,7 +164,7 @@ def _products(signal: FloatArray) -> FloatArray:
 
 
 def _in_blocks(products: FloatArray, records: StackedRecords) -> float:
-    """Sum of the squares of the sums over blocks of time, of all outputs together."""
+    """Return the sum of the squared sums over blocks of time, for all outputs together."""
     experiments = dict.fromkeys(item.experiment for item in records.items)
     count = max(LEAST_BLOCKS_OF_RECORD, -(-BLOCKS // max(len(experiments), 1)))
     total = 0.0

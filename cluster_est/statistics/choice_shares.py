@@ -1,10 +1,10 @@
-"""How often each of several models is chosen where the data are resampled.
+"""Computes how often each of several models is the best one for resampled data.
 
-Whatever chose a model among many chose it by these data; others of the same kind might have led to
-another. Pieces of the data are drawn with replacement (B. Efron, R. J. Tibshirani, An Introduction
-to the Bootstrap (1993), doi:10.1201/9780429246593), and every model is refitted to each draw by its
-own linear model, r + J d: that takes no simulation. The frequencies with which each is best are
-those of W. Sauerbrei, M. Schumacher, Stat. Med. 11 (1992) 2093-2109, doi:10.1002/sim.4780111607.
+The choice of a model depends on the data; other data of the same kind might have led to another
+choice. Pieces of the data are drawn with replacement (B. Efron, R. J. Tibshirani, An Introduction
+to the Bootstrap (1993), doi:10.1201/9780429246593). Every model is refitted to each draw with its
+linear model r + J d, which needs no simulation. For these frequencies, see W. Sauerbrei, M.
+Schumacher, Stat. Med. 11 (1992) 2093-2109, doi:10.1002/sim.4780111607.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import numpy as np
 from workers.messages import FloatArray, IntArray
 
 RANK = 1e-12
-"""Part of the largest eigenvalue of a scaled normal matrix: what is smaller counts as 0."""
+"""Eigenvalue of a scaled normal matrix, over the largest one, below which it counts as 0."""
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A model at its fit.
+    """The linear model of a fitted model.
 
     Attributes
     ----------
     residuals : (n,)
-        At the fit.
+        Residuals of the fit.
     jacobian : (n, unknowns)
-        Of the residuals.
+        Derivatives of the residuals.
     price
-        What is added to its criterion, for what it was chosen among.
+        Penalty that is added to the criterion, for the number of candidates.
     """
 
     residuals: FloatArray = field(repr=False)
@@ -48,20 +48,19 @@ def choice_shares(
 ) -> FloatArray:
     """Return the share of the draws in which each model has the least criterion.
 
-    The criterion is that of Schwarz with the variance of each output's noise estimated, as
-    `FittedModel.criterion` has it.
+    The criterion is that of Schwarz with an estimated noise variance for each output, as in
+    `FittedModel.criterion`.
 
     Parameters
     ----------
     fits
-        The models; of those that are equal the first is chosen.
+        The models; the first of equally good models is chosen.
     pieces, outputs : (n,)
-        For each residual the number of the piece that it is drawn with, and that of its output,
-        each from 0.
+        Numbers of the piece and of the output of each residual, counted from 0.
     draws
-        Their number.
+        Number of draws.
     generator
-        For the draws.
+        Generates the draws.
     """
     count = int(pieces.max()) + 1
     sizes = np.zeros((count, int(outputs.max()) + 1))
@@ -78,7 +77,7 @@ def choice_shares(
 
 
 class _PieceSums:
-    """Squares and products of a model, summed over each piece and output."""
+    """Squares and products of residuals and derivatives, summed over each piece and output."""
 
     def __init__(self, fit: LinearFit, pieces: IntArray, outputs: IntArray) -> None:
         count, kinds, size = int(pieces.max()) + 1, int(outputs.max()) + 1, fit.jacobian.shape[1]
@@ -97,7 +96,7 @@ class _PieceSums:
                 self._normal[piece, output] = own.T @ own
 
     def criterion(self, times: FloatArray, samples: FloatArray) -> float:
-        """The criterion of the model refitted, with each piece so many times."""
+        """Return the criterion of the refitted model, with each piece repeated `times` times."""
         squares = times @ self._squares
         gradients = np.tensordot(times, self._gradients, 1)
         normal = np.tensordot(times, self._normal, 1)

@@ -1,4 +1,4 @@
-"""A signal that drives a model, described by fewer samples."""
+"""Describes the input signals of a model by fewer samples."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from scipy.linalg import solveh_banded
 from workers.messages import FloatArray, IntArray
 
 ROUNDS = 12
-"""Of halving the intervals in which straight lines are too far off."""
+"""Largest number of refinements of the intervals in which the error is too large."""
 
 NOISY = 6.0
-"""Standard deviations of a signal's own noise that straight lines may be off by besides."""
+"""Additional tolerance of straight lines, in standard deviations of the signal's noise."""
 
 HELD_FAST = 1e-6
-"""Weight, over that of a sample, of the signal itself at a knot that no sample lies beside."""
+"""Weight of the signal at each knot, over that of a sample; it fixes knots without samples."""
 
 
 def without_repeats(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a held signal without the samples that repeat the one before: the same course."""
+    """Return a held signal without samples that repeat the one before; the signal is the same."""
     kept = np.concatenate([[True], values[1:] != values[:-1]])
     return times[kept], values[kept]
 
@@ -26,24 +26,24 @@ def without_repeats(times: FloatArray, values: FloatArray) -> tuple[FloatArray, 
 def fewer_knots(
     times: FloatArray, values: FloatArray, knots: FloatArray, tolerance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a signal of straight lines as one of fewer: those nearest by least squares.
+    """Approximate a piecewise linear signal by fewer straight lines, with least squares.
 
-    So the mean over a few of them is that of the signal, as is what an integral makes of it. Where
-    they are off by more than a tolerance, at a jump, their knots become denser down to the samples.
+    The mean over a few lines is then that of the signal, and so is its integral. If the error
+    exceeds the tolerance, as at a jump, knots are added, at most all samples.
 
     Parameters
     ----------
     times, values : (n,)
-        Of its samples.
+        Samples of the signal.
     knots
-        Times to begin with, in order; those outside of the samples are left out.
+        Increasing times of the first knots; times outside of the samples are left out.
     tolerance
-        Over the range of the signal. What the signal has of noise counts besides.
+        Tolerance over the range of the signal. A multiple of the signal's noise is added.
 
     Returns
     -------
     times, values
-        Of the knots.
+        Times and values of the knots.
     """
     if len(times) < 3 or not np.ptp(values) > 0.0:
         return times[[0, -1]], values[[0, -1]]
@@ -55,7 +55,7 @@ def fewer_knots(
         off = np.abs(np.interp(times, knots, fitted) - values) > limit
         between = np.unique(np.clip(np.searchsorted(knots, times[off]) - 1, 0, len(knots) - 2))
         free = np.abs(fitted - np.interp(knots, times, values)) > limit
-        after = np.searchsorted(times, knots[free])  # samples beside them leave them no freedom
+        after = np.searchsorted(times, knots[free])  # knots at samples nearby fix these values
         more = [_inner(times, values, knots, between), after, np.maximum(after - 1, 0)]
         denser = np.union1d(knots, times[np.concatenate(more)])
         if len(denser) == len(knots):
@@ -66,7 +66,7 @@ def fewer_knots(
 
 
 def _inner(times: FloatArray, values: FloatArray, knots: FloatArray, which: IntArray) -> IntArray:
-    """Samples that cut some intervals between knots: both ends of a jump, else the middle one."""
+    """Return samples that divide intervals between knots: both ends of a jump, or the middle."""
     first = np.searchsorted(times, knots[which])
     last = np.searchsorted(times, knots[which + 1], side="right") - 1
     found = [(first + last) // 2]
@@ -79,14 +79,14 @@ def _inner(times: FloatArray, values: FloatArray, knots: FloatArray, which: IntA
 
 
 def _noise(values: FloatArray) -> float:
-    """Standard deviation of what changes from sample to sample without order."""
+    """Return the standard deviation of the noise, from fourth differences."""
     if len(values) < 6:
         return 0.0
     return float(np.median(np.abs(np.diff(values, 4))) / 0.6745 / np.sqrt(70.0))
 
 
 def _least_squares(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
-    """Values at knots of the straight lines that are nearest to the samples."""
+    """Return the values at knots of the piecewise linear least-squares fit to the samples."""
     place = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
     right = (times - knots[place]) / (knots[place + 1] - knots[place])
     left, count = 1.0 - right, len(knots)

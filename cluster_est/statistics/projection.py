@@ -1,6 +1,6 @@
-"""Projection that takes out what the declared parameters could explain.
+"""Projection that removes what the declared parameters could explain.
 
-Symbols: P the projection, Q the orthonormal basis of what it takes out.
+Symbols: P is the projection, Q the orthonormal basis of the removed directions.
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ import numpy as np
 from workers.messages import FloatArray
 
 NEARLY_DEPENDENT_DIRECTIONS = 1e-6
-"""Smallest singular value, over the largest, of a direction that counts."""
+"""Least singular value, over the largest, of an independent direction."""
 
 NOTHING_LEFT = 1e-12
-"""Length of a projected residual, over that before, which is the rounding of the projection."""
+"""Length of a projected residual, over that before, below which it is rounding error."""
 
 
 class OrthogonalProjection:
-    """P = I - Q Q', Q an orthonormal basis of the columns of a matrix.
+    """P = I - Q Q', where Q is an orthonormal basis of the columns of a matrix.
 
-    With the sensitivities of the residuals to the parameters as that matrix, P leaves what no small
-    change of the parameters can alter: whatever a refit would absorb is no evidence that something
-    is missing.
+    If the matrix contains the sensitivities of the residuals to the parameters, P keeps what no
+    small change of the parameters can alter. What a refit would absorb is not evidence that the
+    model lacks something.
 
     Parameters
     ----------
     matrix : (n, parameters)
-        Any units: columns are scaled to length 1 before dependent ones are dropped. It may have no
-        columns, and columns of zeros.
+        A matrix in any units: columns are scaled to length 1 before dependent columns are dropped.
+        It may have no columns, and columns of zeros.
 
     Attributes
     ----------
     basis : (n, rank)
-        Q.
+        The basis Q.
     """
 
     def __init__(self, matrix: FloatArray) -> None:
@@ -51,32 +51,32 @@ class OrthogonalProjection:
 
     @property
     def degrees(self) -> int:
-        """Degrees of freedom that are left, n - rank."""
+        """Remaining degrees of freedom, n - rank."""
         return len(self.basis) - self.rank
 
     def remove(self, a: FloatArray) -> FloatArray:
-        """P a, of a vector (n,) or of the columns of a matrix (n, m)."""
+        """Return P a for a vector (n,) or a matrix (n, m)."""
         left: FloatArray = self.basis @ (self.basis.T @ a)
-        np.subtract(a, left, out=left)  # of many columns each copy is large
+        np.subtract(a, left, out=left)  # in place, because copies of many columns are large
         return left
 
 
 @dataclass(frozen=True)
 class ProjectedResidual:
-    """A residual, and the projection that takes the declared parameters out of it."""
+    """A residual, and the projection that removes the declared parameters from it."""
 
     projection: OrthogonalProjection = field(repr=False)
     residuals: FloatArray = field(repr=False)
 
 
 ROUNDING_OF_EIGENVALUES = 1e-13
-"""Part of the largest eigenvalue of a scaled matrix, below which another one is rounding."""
+"""Eigenvalue of a scaled matrix, over the largest one, below which it is rounding error."""
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a symmetric positive matrix, (n, n), in units of its diagonal.
+    """Return the inverse of a symmetric positive matrix: (n, n).
 
-    Eigenvalues that are lost in rounding count as the smallest that would not be.
+    The matrix is scaled with its diagonal. Eigenvalues below the rounding error are replaced by it.
     """
     scale, values, vectors = _spectrum(matrix)
     found = (vectors / values) @ vectors.T
@@ -84,7 +84,7 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 
 def root_of_inverse(matrix: FloatArray) -> FloatArray:
-    """Return L with L L' the inverse of a symmetric positive matrix, (n, n)."""
+    """Return L, (n, n), with L L' equal to the inverse of a symmetric positive matrix."""
     scale, values, vectors = _spectrum(matrix)
     return np.asarray((vectors / np.sqrt(values)) / scale[:, None])
 
@@ -96,7 +96,7 @@ def log_determinant(matrix: FloatArray) -> float:
 
 
 def _spectrum(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the root of the diagonal, and the spectrum of the matrix in units of it."""
+    """Return the square root of the diagonal, and the spectrum of the matrix scaled with it."""
     diagonal = np.sqrt(np.diag(matrix))
     scale = np.where(diagonal > 0.0, diagonal, 1.0)
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)

@@ -1,8 +1,8 @@
-"""Records: the rows of the stacked residual vector that are one measured signal.
+"""Records: the rows of a stacked residual vector that belong to one measured signal.
 
-A residual vector is stacked: experiment after experiment, in it output after output, in that the
-samples in the order of time. A *record* is one such run of samples; neighbours in it are neighbours
-in time, across its ends they are not.
+A stacked vector contains the experiments one after the other, in each experiment the outputs, and
+for each output the samples in the order of time. A *record* is the part of one output. Neighbouring
+rows within a record are neighbours in time.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ class OutputRecord:
     Attributes
     ----------
     experiment
-        Index into the experiments that the records were made from.
+        Index of the experiment.
     output
-        Index into `Records.outputs`.
+        Index in `StackedRecords.outputs`.
     rows
-        Of its samples in a stacked vector.
+        Rows of the samples in a stacked vector.
     times
-        Seconds, one for each row.
+        Time of each row in seconds.
     """
 
     experiment: int
@@ -40,12 +40,12 @@ class OutputRecord:
 
 @dataclass(frozen=True)
 class StackedRecords:
-    """All records of a stacked vector, in its order, without gaps.
+    """All records of a stacked vector, in its order and without gaps.
 
     Attributes
     ----------
     outputs
-        Names of the measured variables, each once, in the order of their first appearance.
+        Names of the measured variables, each once, in the order of first appearance.
     items
         The records.
     """
@@ -59,20 +59,20 @@ class StackedRecords:
         return sum(len(record.times) for record in self.items)
 
     def of_output(self, output: int) -> IntArray:
-        """Rows of one output in all experiments, ascending."""
+        """Return the rows of one output in all experiments, in ascending order."""
         return _rows(record for record in self.items if record.output == output)
 
     def by_output(self, stacked: FloatArray) -> list[FloatArray]:
-        """The part of each output of a stacked vector."""
+        """Return the part of each output in a stacked vector."""
         return [stacked[self.of_output(output)] for output in range(len(self.outputs))]
 
     def of_experiment(self, experiment: int) -> IntArray:
-        """Rows of all outputs of one experiment, ascending."""
+        """Return the rows of all outputs of one experiment, in ascending order."""
         return _rows(record for record in self.items if record.experiment == experiment)
 
 
 def make_records(experiments: Sequence[Experiment]) -> StackedRecords:
-    """Records of the residuals of these experiments, stacked in this order."""
+    """Return the records of the residuals of these experiments, stacked in this order."""
     names = dict.fromkeys(output.variable for each in experiments for output in each.outputs)
     outputs = tuple(names)
     signals = [
@@ -84,18 +84,17 @@ def make_records(experiments: Sequence[Experiment]) -> StackedRecords:
 
 
 def thinned(records: StackedRecords, most: int) -> tuple[StackedRecords, IntArray]:
-    """Every s-th sample of each record, s as small as `most` rows in all allow.
+    """Keep every s-th sample of each record, with the least s that gives at most `most` rows.
 
-    For screening long data: what is tested afterwards are the samples that were kept, so nothing
-    is smoothed or aliased that was not in the data before. Every record keeps its first sample,
-    hence there may be more than `most` rows where there are more records than that.
+    Use it to screen long data: tests then use the kept samples without smoothing. Every record
+    keeps its first sample, so with many records there may be more than `most` rows.
 
     Returns
     -------
     records
-        Of the rows that were kept.
+        Records of the kept rows.
     rows : (kept,)
-        Their indices in the full vector, ascending: `residuals[rows]` belongs to the new records.
+        Ascending indices in the full vector: `residuals[rows]` belongs to the new records.
     """
     lengths = np.array([len(record.times) for record in records.items], dtype=int)
     longest = int(lengths.max(initial=1))
@@ -109,7 +108,7 @@ def thinned(records: StackedRecords, most: int) -> tuple[StackedRecords, IntArra
 
 
 def _stacked(signals: Iterable[tuple[int, int, FloatArray]]) -> tuple[OutputRecord, ...]:
-    """Records of (experiment, output, times), one after the other."""
+    """Return consecutive records for (experiment, output, times)."""
     items: list[OutputRecord] = []
     start = 0
     for experiment, output, times in signals:

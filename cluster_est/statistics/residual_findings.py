@@ -215,7 +215,7 @@ def autocorrelated(lag1: float, length: float = np.nan) -> str:
 
 
 def small_sigma(named: str, noise: Collection[float]) -> str:
-    """Say that the noise of some outputs is far above sigma; `noise` is in units of sigma."""
+    """Return a sentence on outputs with noise far above sigma; `noise` is in units of sigma."""
     return (
         f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma, so the "
         f"declared sigma is probably {from_to(noise)} times too small; correct it"
@@ -223,7 +223,7 @@ def small_sigma(named: str, noise: Collection[float]) -> str:
 
 
 def large_sigma(named: str, errors: Collection[float]) -> str:
-    """Say that the errors of some outputs are far below sigma; `errors` are in units of sigma."""
+    """Return a sentence on outputs with errors far below sigma; `errors` are in units of sigma."""
     return (
         f"{named}: error is {from_to(errors)} x sigma, so the declared sigma is probably "
         f"{from_to([1.0 / error for error in errors])} times too large; correct it, because "

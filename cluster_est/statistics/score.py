@@ -176,8 +176,8 @@ def family_wise(scores: ScoreTests, generator: np.random.Generator, draws: int =
     degrees of freedom. So z is drawn instead of e, which is exact and independent of n (P. H.
     Westfall, S. S. Young, Resampling-Based Multiple Testing (1993), chapter 2).
 
-    If no draw is better, p is limited by Bonferroni's inequality, so that strong evidence can also
-    be ranked. If this bound says that no draw would be better, no draws are made.
+    If no draw is better, p is limited by Bonferroni's inequality, so strong evidence can also be
+    ranked. If this bound shows that no draw would be better, no draws are made.
 
     Parameters
     ----------

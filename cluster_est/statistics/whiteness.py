@@ -1,7 +1,8 @@
-"""Whether residuals are white, for smooth structure of several lengths, without random numbers.
+"""Tests whether residuals are white or have smooth structure, without random numbers.
 
-Symbols are those of J. P. Imhof: Q the quadratic form in standard normal numbers z, k_1 to k_3 its
-cumulants. r is the residual over each row's noise, A a form on it, K a kernel.
+The symbols are those of J. P. Imhof: Q is the quadratic form in standard normal numbers z, and k_1
+to k_3 are its cumulants. r is the residual over each row's noise, A a quadratic form of r, and K a
+kernel.
 """
 
 from __future__ import annotations
@@ -19,33 +20,33 @@ from cluster_est.statistics.records import OutputRecord
 from workers.messages import FloatArray, IntArray
 
 WHITENESS_LENGTHS = (1.0, 2.0, 6.0, 20.0, 60.0)
-"""Lengths of smooth structure, in samples, that are looked for."""
+"""Tested lengths of smooth structure in samples."""
 
 WAVES = ((20.0, 0.1), (20.0, 0.2), (10.0, 0.4), (10.0, 0.6), (10.0, 0.8))
-"""Lengths, in samples, and frequencies, in radians a sample, of oscillations that are looked for:
-what is missing rings where the model does. Each covers the gap between its neighbours."""
+"""Lengths in samples and frequencies in radians per sample of the tested oscillations. A missing
+effect may excite oscillations of the model. Their frequency bands overlap."""
 
 SAMPLES_PER_LENGTH = 5
-"""Samples that the longest record needs for each sample of a length: longer kernels see only the
-mean of a record, which a shorter one sees too."""
+"""Least number of samples in the longest record, over the length of a kernel. Longer kernels detect
+only the mean of a record, which a shorter kernel also detects."""
 
 KERNEL_CUTOFF = 4
-"""Lengths after which a Gaussian kernel is cut off."""
+"""Lag, in lengths, above which a Gaussian kernel is set to 0."""
 
 NEARLY_NORMAL = 1e-3
-"""Skewness below which a normal distribution is exact enough."""
+"""Skewness below which the normal distribution is sufficiently accurate."""
 
 
 @dataclass(frozen=True)
 class SmoothnessTest:
-    """The smoothness of residuals beside that of white noise.
+    """The smoothness of residuals compared with white noise.
 
     Attributes
     ----------
     p
-        Probability that white noise looks at least as smooth.
+        Probability that white noise is at least as smooth.
     length
-        Of the structure that is least likely to be noise, in samples.
+        Length in samples of the structure that is least likely to be noise.
     """
 
     p: float
@@ -54,21 +55,21 @@ class SmoothnessTest:
 
 @dataclass(frozen=True)
 class StructureKernel:
-    """Covariance exp(-d^2 / 2 length^2) cos(frequency d) of samples that are d apart."""
+    """The covariance exp(-d^2 / 2 length^2) cos(frequency d) of samples with the lag d."""
 
     length: float
     frequency: float = 0.0
 
     def reach(self, count: int) -> int:
-        """Largest lag that counts in a record of so many samples."""
+        """Return the largest lag that counts in a record with this number of samples."""
         return max(0, min(int(KERNEL_CUTOFF * self.length), count - 1))
 
     def fits(self, count: int) -> bool:
-        """Return whether a record of so many samples has room for it."""
+        """Return whether a record with this number of samples is long enough for the kernel."""
         return SAMPLES_PER_LENGTH * self.length <= count
 
     def at(self, lags: IntArray) -> FloatArray:
-        """Values at some lags."""
+        """Return the values at some lags."""
         values: FloatArray = np.exp(-0.5 * (lags / self.length) ** 2) * np.cos(
             self.frequency * lags
         )
@@ -79,16 +80,16 @@ class StructureKernel:
 class WhiteNull:
     """Residuals of a linear fit to white noise: r = (I - Y W') z, z ~ N(0, I).
 
-    With Q an orthonormal basis of the sensitivities to the parameters and S the noise's standard
-    deviation of each row, the residual over the noise is S^-1 (I - Q Q') S z, hence Y = S^-1 Q and
-    W = S Q. The noise of one output that was loud then explains what the fit has put into another.
+    Q is an orthonormal basis of the sensitivities to the parameters, and S contains the standard
+    deviation of each row's noise. The residual over the noise is S^-1 (I - Q Q') S z, so Y = S^-1 Q
+    and W = S Q. This includes the influence of one output's noise on the residuals of another.
 
     Parameters
     ----------
     basis : (n, rank)
-        Q; it may have no columns.
+        The basis Q; it may have no columns.
     noise : (n,)
-        The diagonal of S, the same within a record.
+        The diagonal of S, which is constant within a record.
     """
 
     basis: FloatArray = field(repr=False)
@@ -96,12 +97,12 @@ class WhiteNull:
 
     @cached_property
     def left(self) -> FloatArray:
-        """Y, (n, rank)."""
+        """The matrix Y: (n, rank)."""
         return self.basis / self.noise[:, None]
 
     @cached_property
     def square(self) -> FloatArray:
-        """W'W, (rank, rank)."""
+        """The matrix W'W: (rank, rank)."""
         right = self.basis * self.noise[:, None]
         return np.asarray(right.T @ right)
 
@@ -111,31 +112,31 @@ def smoothness(
 ) -> list[SmoothnessTest]:
     """Test fitted residuals against white noise, for smooth structure of several kinds.
 
-    For each kernel, q = r' K r / r' r over the rows of a group of records, K_ij = exp(-(i - j)^2 /
-    2 length^2) cos(frequency (i - j)) between samples of one record and 0 between records: the
-    locally best test against a random signal with covariance K. Its p-value, P(z' M z > 0) with M
-    being A = K - q I behind the fit, follows from three cumulants k_m = 2^(m-1) (m-1)! tr M^m by
-    Pearson's approximation: J. P. Imhof, Biometrika 48 (1961) 419-426,
-    doi:10.1093/biomet/48.3-4.419. It does for a kernel what the test of J. Durbin and G. S. Watson
-    (Biometrika 37 (1950) 409-428, doi:10.1093/biomet/37.3-4.409) does for one lag. The smallest
-    over the kernels is multiplied with their number (Bonferroni).
+    For each kernel, the statistic is q = r' K r / r' r over the rows of a group of records, with
+    K_ij = exp(-(i - j)^2 / 2 length^2) cos(frequency (i - j)) between samples of one record and 0
+    between records. This is the locally best test against a random signal with covariance K. Its
+    p-value is P(z' M z > 0), where M is A = K - q I transformed by the fit. It follows from the
+    three cumulants k_m = 2^(m-1) (m-1)! tr M^m by Pearson's approximation (J. P. Imhof, Biometrika
+    48 (1961) 419-426, doi:10.1093/biomet/48.3-4.419). The test is analogous to that of J. Durbin
+    and G. S. Watson for one lag (Biometrika 37 (1950) 409-428, doi:10.1093/biomet/37.3-4.409). The
+    smallest p-value of all kernels is multiplied by their number (Bonferroni).
 
-    Below 20 degrees of freedom p-values are rough.
+    Below 20 degrees of freedom, p-values are inaccurate.
 
     Parameters
     ----------
     residuals : (n,)
-        Stacked, each over the standard deviation of its row's noise; the scale of all is
+        Stacked residuals, each over the standard deviation of its noise; a common scale is
         irrelevant.
     groups
-        Records that are tested together.
+        Groups of records that are tested together.
     null
-        How residuals come about where nothing is missing; n rows too.
+        The residuals of a correct model, also with n rows.
 
     Returns
     -------
     list of SmoothnessTest
-        One for each group; with p = 1 where there is nothing to test.
+        One for each group; p = 1 if nothing can be tested.
     """
     records = list({r.rows.start: r for group in groups for r in group if len(r.times)}.values())
     found: list[list[tuple[float, float]]] = [[] for _ in groups]
@@ -156,7 +157,7 @@ def _smallest(found: Sequence[tuple[float, float]]) -> SmoothnessTest:
 
 
 def _kernels(longest: int) -> list[StructureKernel]:
-    """Return the kernels that records of this length have room for, the shortest always."""
+    """Return the kernels for which records of this length are long enough, always the shortest."""
     if longest < 2:
         return []
     first, *others = [
@@ -168,7 +169,7 @@ def _kernels(longest: int) -> list[StructureKernel]:
 
 @dataclass(frozen=True)
 class SmoothedColumns:
-    """A residual r and the null's Y with what a kernel makes of them: K r, K Y, K K Y."""
+    """A residual r and the matrix Y of the null, with their products K r, K Y and K K Y."""
 
     kernel: StructureKernel
     null: WhiteNull
@@ -185,13 +186,13 @@ class SmoothedColumns:
         records: Sequence[OutputRecord],
         kernel: StructureKernel,
     ) -> SmoothedColumns:
-        """Smooth within these records."""
+        """Return the products within these records."""
         smooth = smoothed(residuals[:, None], records, kernel)[:, 0]
         once = smoothed(null.left, records, kernel)
         return cls(kernel, null, residuals, smooth, once, smoothed(once, records, kernel))
 
     def p(self, group: Sequence[OutputRecord]) -> float:
-        """Probability that white noise looks so smooth in these records."""
+        """Return the probability that white noise is at least as smooth in these records."""
         parts = [np.arange(record.rows.start, record.rows.stop) for record in group]
         rows = np.concatenate([np.zeros(0, dtype=int), *parts])
         square = float(np.add.reduce(self.residuals[rows] ** 2))
@@ -204,18 +205,19 @@ class SmoothedColumns:
     def cumulants(
         self, rows: IntArray, q: float, own: tuple[float, float, float]
     ) -> tuple[float, float, float]:
-        """Of z' M z, M = (I - W Y') A (I - Y W') = A + V C V' with V = [A Y, W].
+        """Return the cumulants of z' M z.
 
-        `own` are the traces of A, A^2 and A^3.
+        M = (I - W Y') A (I - Y W') = A + V C V' with V = [A Y, W]. `own` are the traces of A, A^2
+        and A^3.
         """
         left, once = self.null.left[rows], self.once[rows]
-        variance = self.null.noise[rows, None] ** 2  # W = variance * Y, and so behind any K
+        variance = self.null.noise[rows, None] ** 2  # W = variance * Y, also after products with K
         formed = once - q * left
         again = np.hstack([self.twice[rows] - 2.0 * q * once + q**2 * left, variance * formed])
         sides = np.hstack([formed, variance * left])
         rank = left.shape[1]
         inner = sides.T @ sides
-        inner[rank:, rank:] = self.null.square  # W has rows outside the group too
+        inner[rank:, rank:] = self.null.square  # W also has rows outside the group
         core = np.zeros((2 * rank, 2 * rank))
         core[:rank, rank:] = core[rank:, :rank] = -np.eye(rank)
         core[rank:, rank:] = left.T @ formed
@@ -227,11 +229,10 @@ class SmoothedColumns:
 
 
 def _above_zero(mean: float, variance: float, third: float) -> float:
-    """Probability that a number with these cumulants is above 0.
+    """Return the probability that a random number with these cumulants is above 0.
 
-    By a gamma distribution with the same cumulants. One that is skewed to the left would end at
-    some number, beyond which nothing would be possible; there the normal distribution takes its
-    place, whose tail is the longer one.
+    A gamma distribution with the same cumulants is used. If it were skewed to the left, it would
+    have an upper limit, so the normal distribution with its longer tail is used instead.
     """
     if variance <= 0.0:
         return 1.0
@@ -245,12 +246,12 @@ def _above_zero(mean: float, variance: float, third: float) -> float:
 def smoothed(
     columns: FloatArray, records: Sequence[OutputRecord], kernel: StructureKernel
 ) -> FloatArray:
-    """K times each column, (n, m); 0 in the rows of other records."""
+    """Return K times each column, (n, m); 0 in the rows of other records."""
     result = np.zeros_like(columns)
     starts: dict[int, list[int]] = {}
     for record in records:
         starts.setdefault(len(record.times), []).append(record.rows.start)
-    for count, firsts in starts.items():  # records of one length at once
+    for count, firsts in starts.items():  # all records of one length together
         reach = kernel.reach(count)
         padded = next_fast_len(count + 2 * reach, real=True)
         spectrum = rfft(kernel.at(np.arange(-reach, reach + 1)), padded)[:, None]
@@ -261,9 +262,9 @@ def smoothed(
 
 
 def traces(kernel: StructureKernel, counts: Sequence[int], q: float) -> tuple[float, float, float]:
-    """Traces of A, A^2 and A^3 with A = K - q I in records of these lengths.
+    """Return the traces of A, A^2 and A^3 with A = K - q I, for records of these lengths.
 
-    Those of powers of K are linear in the length of a record that has room for all lags.
+    The traces of powers of K are linear in the length of a record that contains all lags.
     """
     first = second = third = 0.0
     for count, times in Counter(counts).items():
@@ -283,11 +284,11 @@ def traces(kernel: StructureKernel, counts: Sequence[int], q: float) -> tuple[fl
 def _diagonals(
     kernel: StructureKernel, reach: int
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """For K^2 and K^3, the rise of the trace with each sample, and what its ends take off.
+    """Return, for K^2 and K^3, the increase of the trace per sample and the loss at the ends.
 
-    A product of lags a and b has its place in a record as often as 0, a and a + b have room there,
-    which reach over (|a| + |b| + |a + b|) / 2: over each of the three alike on the average. So a
-    convolution of the kernel with itself has it all.
+    A product with the lags a and b occurs as often as 0, a and a + b fit into a record. They span
+    (|a| + |b| + |a + b|) / 2 samples, to which the three terms contribute equally on average. So a
+    convolution of the kernel with itself suffices.
     """
     lags = np.arange(-reach, reach + 1)
     values = kernel.at(lags)

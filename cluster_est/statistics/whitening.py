@@ -1,7 +1,7 @@
-"""Coloured noise made white, by an autoregression for each output.
+"""Whitens coloured noise with an autoregression for each output.
 
-Symbols are those of P. J. Brockwell and R. A. Davis: a the coefficients, c the autocovariances, e
-the innovations.
+The symbols are those of P. J. Brockwell and R. A. Davis: a are the coefficients, c the
+autocovariances, and e the innovations.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ def fit_autoregression(
     *,
     about_mean: bool = False,
 ) -> FloatArray:
-    """Coefficients of r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t for each output.
+    """Return the coefficients of r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t for each output.
 
-    The Yule-Walker equations sum_j c_|i-j| a_j = c_i, with autocovariances c about 0 that are
-    summed over all records of the output (no product spans two records). Sums that are not
-    divided by their number of products make the equations positive definite and the solution
-    stationary, however smooth the residual is: P. J. Brockwell, R. A. Davis, Time Series: Theory
-    and Methods (1991), doi:10.1007/978-1-4419-0320-4, section 8.1.
+    They satisfy the Yule-Walker equations sum_j c_|i-j| a_j = c_i. The autocovariances c about 0
+    are summed over all records of the output; no product spans two records. The sums are not
+    divided by their numbers of products. So the equations are positive definite and the solution is
+    stationary for any residual (P. J. Brockwell, R. A. Davis, Time Series: Theory and Methods
+    (1991), doi:10.1007/978-1-4419-0320-4, section 8.1).
 
     Parameters
     ----------
     residuals : (n,)
-        Stacked.
+        Stacked residuals.
     about_mean
-        Autocovariances about the mean of each output over all its records: else an offset that they
-        share would look like noise that never forgets.
+        Whether autocovariances are about the mean of each output over all its records. Otherwise, a
+        common offset would look like noise with an infinite memory.
 
     Returns
     -------
@@ -63,18 +63,18 @@ def _centred(residuals: FloatArray, records: StackedRecords) -> FloatArray:
 def deviance(
     residuals: FloatArray, records: StackedRecords, coefficients: FloatArray | None = None
 ) -> float:
-    """-2 log likelihood of residuals, but for a constant, with the noise of each output estimated.
+    """Return -2 log likelihood of residuals up to a constant, with the noise levels estimated.
 
-    The sum over outputs of n log s^2, s^2 being the mean square of the n residuals. With an
-    autoregression, that of its innovations (`whiten`), and less 2 log of the determinant of what
-    makes the residuals white.
+    It is the sum over outputs of n log s^2, where s^2 is the mean square of the n residuals. With
+    an autoregression, s^2 is that of the innovations (`whiten`), and 2 log of the determinant of
+    the whitening matrix is subtracted.
 
     Parameters
     ----------
     residuals : (n,)
-        Stacked.
+        Stacked residuals.
     coefficients : (outputs, order)
-        Of the autoregressions, such as `fit_autoregression` gives them; None for white noise.
+        Coefficients from `fit_autoregression`; None for white noise.
 
     Raises
     ------
@@ -99,16 +99,16 @@ def deviance(
 def partial_autocorrelations(
     residuals: FloatArray, records: StackedRecords, output: int, order: int
 ) -> FloatArray:
-    """Partial autocorrelations of one output at lags 1 ... order, pooled over its records.
+    """Return the partial autocorrelations of an output at lags 1 to order, over all its records.
 
-    The partial autocorrelations of an autoregression of order p are 0 beyond lag p, with a standard
-    error of 1 / sqrt(n):
-    M. H. Quenouille, J. R. Stat. Soc. B 11 (1949) 68-84, doi:10.1111/j.2517-6161.1949.tb00023.x.
+    For an autoregression of order p, they are 0 beyond lag p, with a standard error of 1 / sqrt(n)
+    (M. H. Quenouille, J. R. Stat. Soc. B 11 (1949) 68-84,
+    doi:10.1111/j.2517-6161.1949.tb00023.x).
 
     Parameters
     ----------
     residuals : (n,)
-        Stacked.
+        Stacked residuals.
 
     Returns
     -------
@@ -125,21 +125,21 @@ def partial_autocorrelations(
 
 
 def whiten(a: FloatArray, records: StackedRecords, coefficients: FloatArray) -> FloatArray:
-    """Each record filtered to its innovations e_t; as many rows as before.
+    """Return the innovations e_t of each record, with the same number of rows.
 
-    The first samples of a record lack a full past. Each is predicted from the past that it has by
-    the autoregression of that lower order, and scaled to the variance of e. With that the map is
-    the exact inverse square root of the covariance of a stationary autoregression, none of the
-    record is lost, and `records` stay valid.
+    The first samples of a record have fewer predecessors than the order. Each is predicted by the
+    autoregression of the lower order, and scaled to the variance of e. So the filter is the exact
+    inverse square root of the covariance of a stationary autoregression. No rows are lost, and
+    `records` stay valid.
 
-    Being linear, it belongs on residuals, sensitivities and candidates alike.
+    The filter is linear. Apply it to residuals, sensitivities and candidates.
 
     Parameters
     ----------
     a : (n,) or (n, m)
-        Stacked; columns are filtered independently.
+        Stacked signals; columns are filtered separately.
     coefficients : (outputs, order)
-        From `fit_autoregression`.
+        Coefficients from `fit_autoregression`.
 
     Raises
     ------
@@ -161,23 +161,23 @@ def whiten(a: FloatArray, records: StackedRecords, coefficients: FloatArray) -> 
 def _pooled_autocovariances(
     residuals: FloatArray, records: StackedRecords, output: int, order: int
 ) -> FloatArray:
-    """Autocovariances of one output, summed over its records; no product spans two."""
+    """Return the autocovariances of an output, summed over its records; no product spans two."""
     signals = [residuals[item.rows] for item in records.items if item.output == output]
     return sum((_autocovariances(s, order) for s in signals), np.zeros(order + 1))
 
 
 def _autocovariances(signal: FloatArray, order: int) -> FloatArray:
-    """Sums of r_t r_{t+k}, k = 0 ... order."""
+    """Return the sums of r_t r_{t+k} for k = 0 to order."""
     length = len(signal)
     lags = [np.add.reduce(signal[k:] * signal[: max(length - k, 0)]) for k in range(order + 1)]
     return np.array(lags)
 
 
 def _lower_orders(coefficients: FloatArray) -> list[tuple[FloatArray, float]]:
-    """Predictors of order 0 ... p - 1 and the scale of their errors to those of order p.
+    """Return the predictors of order 0 to p - 1, and the factors that scale their errors.
 
-    The Levinson-Durbin recursion run downwards: a'_k = (a_k + a_p a_{p-k}) / (1 - a_p^2), and the
-    variance of the error grows by 1 / (1 - a_p^2).
+    This is the Levinson-Durbin recursion in reverse: a'_k = (a_k + a_p a_{p-k}) / (1 - a_p^2), and
+    the variance of the error grows by 1 / (1 - a_p^2). Scaled errors have the variance of order p.
     """
     predictors: list[tuple[FloatArray, float]] = []
     current, shrink = coefficients, 1.0

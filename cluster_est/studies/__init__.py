@@ -1,1 +1,1 @@
-"""Studies: what users ask for, from Python, a config or a sweep."""
+"""Studies, such as a fit, from Python, a config or a sweep."""

@@ -1,7 +1,7 @@
-"""The recipe of a study from a config: read and check it, open or resume its folder, run, finish.
+"""Executes a study from a config: read and check it, open or resume its folder, run, finish.
 
-`cluster-est fit`, `close-loop`, `sensitivity` and every run of a sweep go through `do_run`, so that
-the same config gives the same bits and the same run.json, whoever asks for it.
+`cluster-est fit`, `close-loop`, `sensitivity` and every run of a sweep use `do_run`, so the same
+config always gives the same bits and the same run.json.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from cluster_est.sensitivity.analysis import Sensitivity
 from cluster_est.studies.fit import Fit
 
 STOP = "stop"
-"""File in a run folder that ends the run as Ctrl-C does."""
+"""File in a run folder that ends the run like Ctrl-C."""
 
 
 @dataclass(frozen=True)
 class ConfiguredStudy:
-    """A study as its config has it: everything is read and checked, nothing simulated.
+    """A study from a config; everything is read and checked, but not simulated.
 
     Attributes
     ----------
     identity
-        Its kind, problem and hash.
+        Kind, problem and hash of the study.
     config
-        All that it was made from.
+        The config.
     study
-        What to do.
+        The study.
     notes
-        What a user should know of its data before it begins.
+        Notes for the user on the data.
     """
 
     identity: RunIdentity
@@ -82,21 +82,21 @@ STUDIES: dict[RunKind, Callable[[Config, Problem], Study[RunResult]]] = {
     RunKind.SENSITIVITY: _sensitivity,
     RunKind.CLOSED_LOOP: _closed_loop,
 }
-"""Makes a study from the sections of a config that concern it."""
+"""Functions that make a study from a config."""
 
 
 @dataclass(frozen=True)
 class Listener:
-    """Who hears of a run while it is running.
+    """Functions that receive messages and progress of a run.
 
     Attributes
     ----------
     say
-        Called with sentences that a user should know.
+        Called with notes for the user.
     progress
-        Makes, for its resources, a context that shows how far the run is.
+        Makes a context that displays the progress of the run, for its resources.
     alive
-        Makes a context that shows what is done when the run is over.
+        Makes a context that displays an activity after the run.
     """
 
     say: Callable[[str], None]
@@ -113,11 +113,12 @@ class Destination:
     out
         The run folder.
     existing
-        What becomes of a run that is there.
+        Treatment of an existing run.
     report
         Whether report.html is written at the end.
     begin_at_once
-        Open the folder before the first simulation: also a run that fails earlier leaves one.
+        Whether the folder is opened before the first simulation, so that it exists also after an
+        earlier failure.
     """
 
     out: Path
@@ -133,9 +134,9 @@ class RunEnd:
     Attributes
     ----------
     status
-        As in its run.json.
+        Status as in run.json.
     stopped
-        Why there is no result, as a sentence; "" with a result, now or from before.
+        The reason why there is no result; "" if there is a result, also an earlier one.
     """
 
     status: RunStatus
@@ -145,23 +146,23 @@ class RunEnd:
 def read_study(
     path: Path, overrides: list[str], kind: RunKind, *, allow_code: bool
 ) -> ConfiguredStudy:
-    """Read a config and check all that it asks for.
+    """Read and check a config.
 
     Raises
     ------
     ClusterEstError
-        With all that is wrong.
+        If the config has errors.
     """
     return configure(read_config(path, overrides), path.parent, kind, allow_code=allow_code)
 
 
 def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredStudy:
-    """Check all that a resolved config asks for, whose paths start from `base`.
+    """Check a resolved config, whose paths are relative to `base`.
 
     Raises
     ------
     ClusterEstError
-        If something is wrong.
+        If the config has errors.
     """
     problem = build_problem(config, base, allow_code=allow_code)
     thin = thinned_for(kind, config, problem)
@@ -173,10 +174,10 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
 
 
 def thinned_for(kind: RunKind, config: Config, problem: Problem) -> ThinnedProblem:
-    """Thin the records of a study that is done on thinned ones throughout.
+    """Thin the records of a study that uses thinned records throughout.
 
-    Inputs keep all of their samples, or what is simulated would have to be compared, as in a closed
-    loop, which thins records itself and reports on all rows.
+    Inputs keep all of their samples, so the simulations need not be compared with those of whole
+    records. A closed loop makes this comparison: it thins records itself, and reports on all rows.
     """
     if kind is RunKind.CLOSED_LOOP:
         return thinned(problem, None)
@@ -190,39 +191,39 @@ def do_run(
     listener: Listener,
     source: WorkerSource | None = None,
 ) -> RunEnd:
-    """Open or resume a run's folder, run, and write what was found.
+    """Open or resume a run's folder, run, and write the results.
 
     Parameters
     ----------
     run
-        What to do.
+        The study.
     to
-        Where its tables go.
+        The folder for its results.
     listener
-        Hears of it on the way.
+        Receives messages and progress.
     source
-        Where workers come from; its own if None.
+        Source of the workers; the run's own workers if None.
 
     Raises
     ------
     RunFolderError
-        If the folder holds what may not be replaced, or another run than the one to be resumed.
+        If the folder contains files that may not be replaced, or another run than that to resume.
     ClusterEstError
-        If model, experiments and machine do not fit together.
+        If model, experiments or resources are invalid.
     KeyboardInterrupt
-        If it is interrupted before anything was simulated.
+        If it is interrupted before the first simulation.
     """
     resources = build_resources(run.config)
     said = (*resources.notes(), *run.identity.problem.data_notes(), *run.notes)
     for sentence in said:
         listener.say(sentence)
-    to = replace(to, out=to.out.absolute())  # an FMU may leave this process in another folder
+    to = replace(to, out=to.out.absolute())  # an FMU may change the working folder of this process
     context = RunContext(run.identity, to.out, to.existing, listener.say)
     if context.finished:
         return RunEnd(RunStatus.DONE)
     if to.begin_at_once:
         context.begin()
-    # workers end when everything is written: an FMU that crashes while it is let go takes nothing
+    # workers end after all results are written, because an FMU may crash when it is freed
     own = SharedPools() if source is None else nullcontext(source)
     try:
         with (
@@ -238,13 +239,13 @@ def do_run(
             environment = RunEnvironment(resources, monitor, context.earlier, workers)
             result = run.study.run(environment)
             if context.folder is None and getattr(result, "interrupted", False):
-                raise KeyboardInterrupt  # a run that is there stays: nothing was simulated
+                raise KeyboardInterrupt  # keep an existing run, because nothing was simulated
             status = context.finish(result)
     except UnwritableError:
-        to = replace(to, report=False)  # it cannot be written either
+        to = replace(to, report=False)  # the report cannot be written either
         raise
     except (KeyboardInterrupt, BudgetError, ProblemError) as error:
-        if context.folder is None:  # nothing was simulated: the input is to blame
+        if context.folder is None:  # nothing was simulated, so the input is invalid
             raise
         return _stopped(error, context)
     finally:
@@ -255,20 +256,20 @@ def do_run(
 
 
 def _stopped(error: BaseException, context: RunContext) -> RunEnd:
-    """A run that ended without a result, after simulations that stand in its log."""
+    """Return the end of a run without a result, after simulations that are in its log."""
     interrupted = isinstance(error, KeyboardInterrupt)
     why = "interrupted" if interrupted else str(error)
     status = RunStatus.INTERRUPTED if interrupted else RunStatus.FAILED
-    if context.has_results:  # what was found so far is shown in the place of a sentence
+    if context.has_results:  # the results so far are shown instead of a sentence
         return RunEnd(RunStatus.INTERRUPTED)
     return RunEnd(status, f"{why}; {context.steps}; the log is in {context.out}")
 
 
 def _write_report(run_folder: Path, listener: Listener) -> None:
-    """Write the report at the end of a run, without spoiling what the run has done."""
+    """Write the report at the end of a run; a failure does not affect the run."""
     try:
         from cluster_est.html_report.page import (
-            write_report,  # not everybody wants to wait for Jinja
+            write_report,  # Jinja is slow to import
         )
 
         write_report(run_folder)

@@ -1,4 +1,4 @@
-"""A design from a run's folder and a file of limits, ready to be made."""
+"""Makes the design of an experiment from a run's folder and a file of limits."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cluster_est.studies.configured import ConfiguredStudy, thinned_for
 from workers.messages import Experiment, content_hash
 
 ADDED = ("found", "partial")
-"""Verdicts with which a loop has added effects."""
+"""Verdicts of a closed loop that has added effects."""
 
 
 def read_design(
@@ -47,27 +47,28 @@ def read_design(
     *,
     allow_code: bool,
 ) -> ConfiguredStudy:
-    """Read a run and the limits of the next experiment, and check them against each other.
+    """Read a run and the limits of the next experiment, and check that they are consistent.
 
     Parameters
     ----------
     run_folder
-        Of a fit or a closed loop that has ended.
+        Folder of a finished fit or closed loop.
     limits
         The file of limits.
     config
-        The config that the run was made from, if it has moved.
+        The config of the run, if it has been moved.
     overrides
-        "key=value" of where it runs and for how long: executor, budget and log.
+        "key=value" for the executor, the budget and the log.
     predict
-        "EXPERIMENT" or "EXPERIMENT:OUTPUT,OUTPUT" of what is predicted, in the place of the file's.
+        "EXPERIMENT" or "EXPERIMENT:OUTPUT,OUTPUT": predicted quantities, instead of those in the
+        file.
     allow_code
-        Whether Python functions that it names may run.
+        Whether Python functions that are named in the config may run.
 
     Raises
     ------
     ClusterEstError
-        If something is missing or does not fit together.
+        If something is missing or inconsistent.
     """
     wanted = read_limits(limits)
     facts = read_facts(run_folder)
@@ -105,7 +106,7 @@ def read_design(
 
 
 def _planned(target: PredictionTarget) -> list[str]:
-    """What identifies a planned experiment, whose table is not in the file of limits."""
+    """Return texts that identify a planned experiment, whose table is not in the limits file."""
     if isinstance(target.experiment, str):
         return []
     return [json.dumps([g.times.tolist(), g.values.tolist()]) for g in target.experiment.inputs]
@@ -119,7 +120,7 @@ def _models(
     *,
     allow_code: bool,
 ) -> tuple[CandidateModel, ...]:
-    """The models that a run leaves room for, the one that it has chosen first."""
+    """Return the models that are compatible with a run; the chosen model is the first."""
     if facts.get("verdict") in ADDED:
         return tuple(
             _model(each, config, base, facts, allow_code=allow_code) for each in facts["competing"]
@@ -144,7 +145,7 @@ def _model(
     *,
     allow_code: bool,
 ) -> CandidateModel:
-    """One of the models of a closed loop, made again from what its run.json says."""
+    """Return one of the models of a closed loop, from its entry in run.json."""
     blocks = tomllib.loads(known["config"]).get("effects", [])
     added = [EffectSection.model_validate(block) for block in blocks]
     changed = config.model_copy(update={"effects": [*config.effects, *added]})
@@ -154,12 +155,12 @@ def _model(
 
 
 def _rows_for_design(problem: Problem, config: Config) -> Problem:
-    """Return a problem whose long records are thinned: they say as much of its parameters."""
+    """Return the problem with thinned records, which give the same information on parameters."""
     return thinned_for(RunKind.DESIGN, config, problem).problem
 
 
 def _with_noise(problem: Problem, facts: Mapping[str, Any]) -> Problem:
-    """With the noise that a closed loop has estimated, where an output has no sigma."""
+    """Return the problem with the noise estimated by a closed loop, for outputs without a sigma."""
     noise: Mapping[str, float] = facts.get("noise") or {}
     return replace(problem, experiments=tuple(_weighted(e, noise) for e in problem.experiments))
 

@@ -1,4 +1,4 @@
-"""The recipe of a fit: search, examine the solution, complete the result, refine its intervals."""
+"""A fit: search, examine the solution, complete the result, refine the intervals."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ from cluster_est.uncertainty import (
 from workers.messages.checks import check_kind, check_number
 
 POSTERIOR = 3
-"""Stream of the random generator of the posterior."""
+"""Number of the random stream for the posterior."""
 
 SearchStep = Callable[[Runner, SearchSpace], SearchResult]
 
@@ -78,15 +78,15 @@ class Fit(Study[Result]):
     problem
         Model, parameters and experiments.
     method
-        Picks the points.
+        Method of the search.
     seed
-        Starts the method's random generator.
+        Random seed of the method.
     multistart
-        From how many starts.
+        Number of starts, and related settings.
     uncertainty
-        Which intervals to compute by refits.
+        Intervals to compute by refits.
     shooting
-        The segments of the records that the search goes through first; whole records alone if None.
+        Segments of the records for a first search; None for only whole records.
     """
 
     problem: Problem
@@ -115,7 +115,7 @@ class Fit(Study[Result]):
         make_space(self.problem, self.problem.indices("test"))
 
     def space(self) -> SearchSpace:
-        """Return the space of the training experiments, if it can be searched as is asked.
+        """Return the search space of the training experiments, if all settings suit it.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class Fit(Study[Result]):
     def _through_segments(
         self, environment: RunEnvironment, train: SearchSpace, shooting: Shooting
     ) -> Result:
-        """Search in segments of the records, then on whole records from what those have found."""
+        """Search with segments of the records, then with whole records from that solution."""
         begin = time.monotonic()
         assert isinstance(self.method, LeastSquares)  # `check_shooting`
         shot = shoot(environment, train, self.method, shooting, self.seed)
@@ -186,7 +186,7 @@ class Fit(Study[Result]):
         *,
         interrupted: bool = False,
     ) -> Result:
-        """Search, then find out what the solution is worth."""
+        """Search, then examine the solution."""
         problem, steps = self.problem, GuardedSteps()
         variables = problem.describe().variables
         with environment.executor(problem) as executor:
@@ -241,7 +241,7 @@ class Fit(Study[Result]):
             result = replace(
                 result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin
             )
-        if whole and not runner.interrupted:  # in the place of a worker, which is free now
+        if whole and not runner.interrupted:  # the workers are idle now, so a processor is free
             error = steps.do(
                 "the error of the solver",
                 lambda: measure_solver_error(train, solution, after, environment.resources, runner),
@@ -262,7 +262,7 @@ class Fit(Study[Result]):
     def _refined(
         self, runner: Runner, train: SearchSpace, result: Result, steps: GuardedSteps
     ) -> Result:
-        """Add the intervals that take more simulations: profiles, bootstrap and posterior."""
+        """Add the intervals that need further simulations: profiles, bootstrap and posterior."""
         solution, method, settings = result.solution, self.method, self.uncertainty
         local = method if method.needs_residuals else LeastSquares()
         if not _accepts(local, train):
@@ -305,7 +305,7 @@ def _with_record_faults(
     environment: RunEnvironment,
     steps: GuardedSteps,
 ) -> Result:
-    """Add what is wrong with a record, where the residuals are more than noise."""
+    """Add faults of records, if the residuals are more than noise."""
     before = runner.evaluations, runner.simulations, runner.failures
     faults = steps.do(
         "the faults of records",
@@ -355,41 +355,41 @@ def fit(
     callback: Callback | None = None,
     record: Record | None = None,
 ) -> Result:
-    """Estimate all parameters of a problem from its training experiments, together.
+    """Estimate all parameters of a problem jointly from its training experiments.
 
-    Values that belong to test records alone are then estimated on those; everything shared stays
-    as the training experiments gave it.
+    Values that belong only to test records are then estimated from these records, with the shared
+    values unchanged.
 
     Parameters
     ----------
     problem
         Model, parameters and experiments.
     method
-        What picks the points, or its name as in a config ("sqp"); least squares if None.
+        Method of the search, or its name as in a config ("sqp"); least squares if None.
     resources
         Where simulations run, and the budget; also "processes" or {"executor": "ray"}.
     seed
-        Starts the method's random generator.
+        Random seed of the method.
     multistart
-        From how many starts, 4 or {"n": 4}; from the parameters' own if None.
+        Number of starts, such as 4 or {"n": 4}; only the parameters' start values if None.
     uncertainty
-        Which intervals to compute by refits, such as {"profiles": True}; none if None.
+        Intervals to compute by refits, such as {"profiles": True}; none if None.
     shooting
-        Segments of the records that the search goes through first, for models that are chaotic,
-        unstable or drift, as {"segments": 20} or {"length": 0.5}; whole records alone if None.
+        Segments of the records for a first search, such as {"segments": 20} or {"length": 0.5}. Use
+        them for chaotic, unstable or drifting models. None for only whole records.
     progress
-        A line in a terminal or a notebook if None; False for none, or a function that is called
-        with a snapshot whenever something came back.
+        None for a line in a terminal or a notebook, False for no display, or a function that is
+        called with a snapshot after each result.
     callback
-        Called with each iteration. If it raises StopIteration, the run ends as by Ctrl-C, with the
-        best point so far.
+        Called after each iteration. If it raises StopIteration, the run ends like after Ctrl-C,
+        with the best point so far.
     record
         Called for each simulation; see `Runner`.
 
     Raises
     ------
     ModelError, ProblemError, ExecutorError
-        If model, experiments, method and machine do not fit together.
+        If model, experiments, method or resources are invalid.
     """
     study = Fit(
         prepared(problem),
@@ -412,7 +412,8 @@ def simulate(
     Returns
     -------
     dict
-        By the experiment's id; `simulate(problem)["monday"].to_frame()` has times and outputs.
+        Simulations by experiment id; `simulate(problem)["monday"].to_frame()` has times and
+        outputs.
 
     Raises
     ------

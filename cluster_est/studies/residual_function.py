@@ -1,4 +1,4 @@
-"""The residuals of a problem as a function, for whoever minimises them elsewhere."""
+"""The residuals of a problem as a Python function, for other optimisers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def residuals(
     *,
     differences: Scheme = "forward",
 ) -> ResidualFunction:
-    """The residuals of the training experiments as a function of the unknowns.
+    """Return the residuals of the training experiments as a function of the unknowns.
 
     ::
 
@@ -39,22 +39,23 @@ def residuals(
             found = scipy.optimize.least_squares(f, f.x0, jac=f.jac, bounds=f.bounds)
             print(f.physical(found.x))
 
-    For optimisers and analyses that are not among the methods. `fit` does more with fewer
-    simulations in a row, and gives intervals.
+    Use it for optimisers and analyses that are not among the methods. `fit` needs fewer sequential
+    simulations, and gives intervals.
 
     Parameters
     ----------
     problem
-        Its cost must be the sum of squares, without constraints, which a residual cannot say.
+        The problem. Its cost must be the sum of squares, without constraints, because residuals
+        cannot express other problems.
     resources
         Where simulations run.
     differences
-        "forward" or "central", of `Residuals.jac`.
+        Finite differences of `ResidualFunction.jac`: "forward" or "central".
 
     Raises
     ------
     ModelError, ProblemError, ExecutorError
-        If the problem cannot be said in residuals, or the FMU cannot be run.
+        If residuals cannot express the problem, or the FMU cannot be run.
     """
     problem = prepared(problem)
     resources = checked_resources(resources)
@@ -66,25 +67,25 @@ def residuals(
 
 
 class ResidualFunction:
-    """A function f(x) of the unknowns, whose workers stay until it is closed.
+    """A function f(x) of the unknowns, whose workers run until it is closed.
 
-    x holds physical values, or their natural logarithms where a parameter's scale is "log".
-    A point at which a simulation fails gives NaN for every residual: the methods "trf" and "dogbox"
-    of `scipy.optimize.least_squares` then shorten their step, and refuse a start that fails.
-    `reason` says why.
+    x contains physical values, or their natural logarithms if a parameter's scale is "log". If a
+    simulation fails, all residuals are NaN. The methods "trf" and "dogbox" of
+    `scipy.optimize.least_squares` then shorten their step, and refuse a failed start. `reason`
+    contains the cause.
 
     Attributes
     ----------
     names
-        Labels of the unknowns: "k", or "x0[exp5]".
+        Labels of the unknowns, such as "k" or "x0[exp5]".
     x0 : (unknowns,)
-        Their starts.
+        Start values.
     bounds : two arrays (unknowns,)
-        The lower and the upper ones.
+        Lower and upper bounds.
     x_scale : (unknowns,)
-        The size of a noticeable change, for `least_squares(..., x_scale=f.x_scale)`.
+        Sizes of noticeable changes, for `least_squares(..., x_scale=f.x_scale)`.
     reason
-        Why the last point that failed did, or which derivatives are not known; "" if none has.
+        The cause of the last failure, or the names of unknown derivatives; "" without failures.
     """
 
     def __init__(self, space: SearchSpace, resources: Resources, differences: Scheme) -> None:
@@ -112,13 +113,13 @@ class ResidualFunction:
         return self._space.typical.copy()
 
     def physical(self, x: FloatArray) -> dict[str, float]:
-        """Physical values at x by label."""
+        """Return the physical values at x by label."""
         return self._space.estimates(self._checked(x))
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """(residuals,): (measured - simulated) / sigma, experiment after experiment.
+        """Return the residuals (measured - simulated) / sigma of all experiments: (residuals,).
 
-        Behind those of an experiment stand the residuals of the priors that count with it.
+        The residuals of an experiment are followed by those of the priors that belong to it.
         """
         at = self._run(_PointEvaluation(self._checked(x))).at
         if at is None or not at.ok:
@@ -128,11 +129,11 @@ class ResidualFunction:
         return at.residuals
 
     def jac(self, x: FloatArray) -> FloatArray:
-        """(residuals, unknowns): derivatives, all differences simulated at once.
+        """Return the derivatives, (residuals, unknowns); all differences are simulated together.
 
-        The column of an unknown whose differences fail, on both sides and with several steps, is
-        0, so that a method leaves it where it is, and `reason` names it: a search that ends there
-        has not converged. Where x itself fails everything is NaN.
+        If the differences of an unknown fail on both sides and with several steps, its column is 0,
+        so a method does not change it. `reason` then names it, and a search that ends there has not
+        converged. If the simulation at x fails, all derivatives are NaN.
         """
         found = self._run(_PointEvaluation(self._checked(x), self._differences))
         if found.jacobian is not None:
@@ -178,7 +179,7 @@ class ResidualFunction:
 
 @dataclass(frozen=True, eq=False)
 class _PointEvaluation(Method):
-    """A search that looks at one point, and at its derivatives if it is told how."""
+    """Evaluates one point, and its derivatives if `differences` is given."""
 
     name: ClassVar[str] = "residuals"
     needs_residuals: ClassVar[bool] = True
@@ -197,7 +198,7 @@ class _PointEvaluation(Method):
 
 
 def _check(space: SearchSpace) -> None:
-    """Refuse what residuals cannot say."""
+    """Refuse problems that residuals cannot express."""
     problem = space.problem
     if space.size == 0:
         raise ProblemError(

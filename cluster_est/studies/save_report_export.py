@@ -1,4 +1,4 @@
-"""Save, report and export a result from Python, as the command line does."""
+"""Saves, reports and exports a result from Python, like the command line."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ NO_CONFIG = "# saved from Python: there is no config\n"
 
 
 def save(result: Result | LoopResult, folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Write a run folder that `cluster-est show` and `report` read; it has no log of simulations.
+    """Write a run folder for `cluster-est show` and `report`, without a log of simulations.
 
     Parameters
     ----------
     result
-        Of `fit` or `close_loop`.
+        Result of `fit` or `close_loop`.
     folder
-        Must be new or empty, unless `overwrite`.
+        The folder; it must be new or empty, unless `overwrite` is true.
     overwrite
-        Whether to replace the run that is there.
+        Whether to replace an existing run.
 
     Raises
     ------
     ProblemError
-        If it is no such result.
+        If `result` is not such a result.
     RunFolderError
-        If the folder holds something already or cannot be written.
+        If the folder is not empty or cannot be written.
     """
     fitted = _fit_of(result)
     path = as_path(folder, "folder", ProblemError)
@@ -46,14 +46,14 @@ def save(result: Result | LoopResult, folder: str | Path, *, overwrite: bool = F
 
 
 def report(result: Result | LoopResult, path: str | Path) -> Path:
-    """Write the report of a result: one HTML file.
+    """Write the report of a result as one HTML file.
 
     Raises
     ------
     ProblemError
-        If it is no result of `fit` or `close_loop`.
+        If `result` is not a result of `fit` or `close_loop`.
     RunFolderError
-        If it cannot be written.
+        If the report cannot be written.
     """
     path = as_path(path, "path", ProblemError)
     with tempfile.TemporaryDirectory() as folder:
@@ -72,26 +72,27 @@ def export(
     experiment: str | None = None,
     measure: bool = True,
 ) -> ExportResult:
-    """Write the model with its estimates and effects, as `cluster-est export` does.
+    """Write the model with its estimates and effects, like `cluster-est export`.
 
     Parameters
     ----------
     result
-        Of `fit` or `close_loop`.
+        Result of `fit` or `close_loop`.
     fmu, ssv, csv
-        Files to write: an FMU that holds the original and the effects, a set of parameters as SSP
-        has them, and as a table.
+        Files to write: an FMU with the original FMU and the effects, a parameter set in the SSP
+        format, and a table of parameters.
     modelica, text
-        Whether a Modelica class and a description are wanted, in `printed` of what comes back.
+        Whether to return a Modelica class and a description in `printed` of the result.
     experiment
-        Whose values are taken, where parameters have one for each; None for shared ones alone.
+        The experiment whose values are used, for parameters with one value per experiment; None for
+        only shared parameters.
     measure
-        Whether the communication step is measured that reproduces the error.
+        Whether to determine the communication step that reproduces the error.
 
     Raises
     ------
     ClusterEstError
-        If nothing is asked for, or a file cannot be written.
+        If nothing is requested, or a file cannot be written.
     """
     fitted = _fit_of(result)
     wanted = ExportRequest(
@@ -112,7 +113,7 @@ def export(
 
 
 def _fit_of(result: Result | LoopResult) -> Result:
-    """Return the fit that a result is or ends with."""
+    """Return the fit of a result; for a closed loop, the final fit."""
     if isinstance(result, LoopResult):
         return result.after
     if not isinstance(result, Result):

@@ -1,1 +1,1 @@
-"""Many runs from one file, started again where they stopped."""
+"""Sweeps: many runs from one file, which can be continued."""

@@ -1,7 +1,8 @@
-"""The history of a sweep: a row for each time that one of its runs was done.
+"""The history of a sweep: a row for each execution of a run.
 
-`summary.parquet` has the last time only. A sweep that is called every night does a run again when
-its config, data, FMU or versions have changed; the history says which, and what that did.
+`summary.parquet` contains only the last executions. A sweep that is started every night repeats a
+run if its config, data, FMU or versions have changed. The history shows what changed, and the
+results.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from workers.messages import content_hash
 
 ENDED = (RunStatus.DONE, RunStatus.NOT_CONVERGED, RunStatus.FAILED)
 DIGITS = 12
-"""Of a hash: enough to see that something is another."""
+"""Number of digits of a hash, enough to detect a change."""
 GO_ON = "check that there is free space and that the folder can be written, and repeat the command"
 
 
 def add_to_history(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Append the rows of a summary whose runs were done since the last call.
+    """Append the rows of a summary whose runs ended since the last call.
 
     Raises
     ------
     RunFolderError
-        If the history is damaged, or a run folder is.
+        If the history or a run folder is damaged.
     UnwritableError
-        If it cannot be written.
+        If the history cannot be written.
     """
     path = out / SWEEP_HISTORY_FILE
     known = read_run_table(path) if path.is_file() else []
@@ -53,18 +54,18 @@ def add_to_history(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def with_all_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows that all have the columns of any of them; None where a row had none."""
+    """Return rows with the union of their columns; None for missing values."""
     names = dict.fromkeys(name for row in rows for name in row)
     return [{name: row.get(name) for name in names} for row in rows]
 
 
 def _time(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what tells one time of a run from all others."""
+    """Return the values that identify one execution of a run."""
     return tuple(row.get(name) for name in ("run", "started", *HISTORY_INPUTS))
 
 
 def _inputs(folder: Path) -> dict[str, str]:
-    """Return a short hash of each thing that the result of a run depends on."""
+    """Return short hashes of the inputs on which the result of a run depends."""
     facts = read_facts(folder)
     known = facts["config_hash"], facts["experiments"], facts["fmu"]["sha256"], facts["versions"]
     return {

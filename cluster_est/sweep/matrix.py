@@ -1,4 +1,4 @@
-"""From a sweep file to the runs that it asks for, by name and override."""
+"""Reads a sweep file, makes its runs, and determines their status."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from workers.fmu.description import nearest
 from workers.messages import content_hash
 
 RUN_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
-"""Names of runs, which are folders, and of what they are made of: usable on every file system."""
+"""Pattern for names of runs and their parts, which are valid on every file system."""
 
 
 def value_name(value: Any) -> str:
-    """Return the text of a plain value in the name of a run; "" where it needs its own name."""
+    """Return the text of a plain value for the name of a run; "" for other values."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str | int | float):
@@ -56,7 +56,7 @@ def value_name(value: Any) -> str:
 
 
 def _configs(value: Any) -> Any:
-    """A list of paths is short for a table with the files' names."""
+    """Convert a list of paths to a table with the files' names."""
     if not isinstance(value, list):
         return value
     if not all(isinstance(path, str) for path in value):
@@ -70,7 +70,7 @@ def _configs(value: Any) -> Any:
 
 
 def _values(value: Any) -> Any:
-    """A list of plain values is short for a table with themselves as names."""
+    """Convert a list of plain values to a table with the values as names."""
     if not isinstance(value, list):
         return value
     named = {value_name(each): each for each in value}
@@ -82,7 +82,7 @@ def _values(value: Any) -> Any:
 
 
 def _names(value: Any) -> Any:
-    """One value, or several."""
+    """Return the names of one value or of several values."""
     return [value_name(each) for each in (value if isinstance(value, list) else [value])]
 
 
@@ -103,7 +103,7 @@ class AxisSection(ConfigSection):
 
 
 class SingleRunSection(ConfigSection):
-    """One run of a sweep besides the combinations."""
+    """A single run in addition to the combinations."""
 
     name: str = Field(min_length=1, description="name of the run and of its folder")
     config: str = Field("", description="name of the config; required if there are several configs")
@@ -141,7 +141,7 @@ class SweepSections(ConfigSection):
 
 
 ONLY, DROP = "only_experiments", "drop_experiments"
-"""Override keys that no config has: which of its experiments a run keeps or leaves out, by id."""
+"""Additional override keys: ids of the experiments that a run keeps or leaves out."""
 MOST_RUNS = 10_000
 LONGEST_RUN_NAME = 150
 
@@ -153,15 +153,15 @@ class SweepRun:
     Attributes
     ----------
     name
-        Of its folder, made of the config's name and the values on each axis.
+        Name of the run and of its folder, made of the config's name and the values on each axis.
     config
-        Path of its config.
+        Path of the config.
     choices
-        Which value it has on each axis; `config` is one of them.
+        Name of the value on each axis; `config` is also an axis.
     overrides
-        (key, value) in the order in which they are put in; the last one wins.
+        Pairs (key, value); later values replace earlier ones.
     study
-        What is done with the config.
+        The kind of study.
     """
 
     name: str
@@ -171,7 +171,7 @@ class SweepRun:
     study: RunKind = RunKind.FIT
 
     def read(self) -> Config:
-        """Its config, resolved.
+        """Return the resolved config.
 
         Raises
         ------
@@ -192,7 +192,7 @@ def read_sweep(path: Path) -> list[SweepRun]:
     Raises
     ------
     ConfigError
-        With one line for each problem.
+        If the file has errors; the message has one line for each error.
     """
     _, raw = read_toml(path, "there is no sweep file")
     sweep = checked(SweepSections, raw, str(path))
@@ -214,7 +214,7 @@ def _refuse(path: Path, problems: list[str]) -> None:
 
 
 def _matrix(sweep: SweepSections, base: Path) -> Iterator[SweepRun]:
-    """Every combination; later axes change faster."""
+    """Yield the run of every combination; later axes change faster."""
     for config, *names in itertools.product(sweep.configs, *(a.values for a in sweep.axes)):
         picked = list(zip(sweep.axes, names, strict=True))
         choices = {"config": config} | {axis.name: name for axis, name in picked}
@@ -224,7 +224,7 @@ def _matrix(sweep: SweepSections, base: Path) -> Iterator[SweepRun]:
         for axis, name in picked:
             value = axis.values[name]
             overrides += [(axis.key, value)] if axis.key else value.items()
-        # A value without its key says nothing: seed_0, but least_squares.
+        # with a key, the axis is part of the name: "seed_0", but "least_squares"
         parts = [f"{axis.name}_{name}" if axis.key else name for axis, name in picked]
         name, path = "-".join([config, *parts]), base / sweep.configs[config]
         yield SweepRun(name, path, choices, tuple(overrides), RunKind(sweep.study))
@@ -353,15 +353,16 @@ class PlannedRun:
     Attributes
     ----------
     run
-        Its name, config and overrides.
+        The run.
     fingerprint
-        Hash of all that its result depends on: config, data, FMU and versions.
+        Hash of all inputs of the result: config, data, FMU and versions.
     budget
-        Its budget; a run that reached a solution does not depend on it.
+        Budget of the run. It does not matter for a run that has reached a solution.
     pool
-        Runs with the same one share their workers.
+        Key of the workers; runs with the same key share their workers.
     cluster
-        (executor, workers, address) if its executor runs on a cluster, which all such runs share.
+        (executor, workers, address) for an executor on a cluster, which all such runs share; None
+        for other executors.
     """
 
     run: SweepRun
@@ -372,7 +373,7 @@ class PlannedRun:
 
 
 def fingerprint(identity: RunIdentity) -> str:
-    """Return the hash of what a run will depend on."""
+    """Return the hash of the inputs of a run."""
     problem = identity.problem
     return _hash(
         identity.config_hash,
@@ -383,12 +384,12 @@ def fingerprint(identity: RunIdentity) -> str:
 
 
 def status(folder: Path, planned: PlannedRun) -> str:
-    """Return the status of a run, "not run" if it must be run (again).
+    """Return the status of a run; "not run" if it must be executed (again).
 
     Raises
     ------
     RunFolderError
-        If the folder holds something else than a run.
+        If the folder contains anything but a run.
     """
     if not (folder / "run.json").is_file():
         _check_strange(folder)
@@ -413,19 +414,19 @@ def status(folder: Path, planned: PlannedRun) -> str:
 
 
 def clear_torn(folder: Path) -> None:
-    """Remove what a killed process left before there was a run.json."""
+    """Remove files that a killed process left before run.json was written."""
     if folder.is_dir() and not (folder / "run.json").is_file():
         _check_strange(folder)
         shutil.rmtree(folder)
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that is no sweep's.
+    """Refuse a folder that is not new, empty, or the folder of a sweep.
 
     Raises
     ------
     RunFolderError
-        If it is a file, or holds something but no sweep.
+        If it is a file, or contains other files but no sweep.
     """
     if out.exists() and not out.is_dir():
         raise RunFolderError(f"{out}: must be a folder, but is a file; choose another --out")
@@ -439,7 +440,7 @@ def check_folder(out: Path) -> None:
 
 
 def write_state(out: Path, sweep: Path, states: dict[str, str], *, running: str = "") -> None:
-    """Write sweep.json: where each run stands, for people and monitors."""
+    """Write sweep.json with the status of each run, for users and monitors."""
     facts = {"format": "1", "sweep": str(sweep), "running": running, "runs": states}
     text = json.dumps(facts, indent=2) + "\n"
     write_whole(out / SWEEP_STATE_FILE, text.encode(), GO_ON)
@@ -448,7 +449,7 @@ def write_state(out: Path, sweep: Path, states: dict[str, str], *, running: str 
 def summary_rows(
     out: Path, plan: Sequence[PlannedRun], states: dict[str, str]
 ) -> list[dict[str, Any]]:
-    """One row for each run, in the sweep's order: choices, outcome and shared estimates."""
+    """Return one row for each run, in order: choices, outcome and shared estimates."""
     axes = dict.fromkeys(axis for planned in plan for axis in planned.run.choices)
     return with_all_columns(
         [_row(out, planned.run, states[planned.run.name], [*axes]) for planned in plan]
@@ -456,7 +457,7 @@ def summary_rows(
 
 
 def write_summary(out: Path, rows: list[dict[str, Any]]) -> None:
-    """Write summary.parquet in one step."""
+    """Write summary.parquet atomically."""
     write_run_columns(out / SWEEP_SUMMARY_FILE, pa.Table.from_pylist(rows), GO_ON)
 
 

@@ -1,4 +1,4 @@
-"""The recipe of a sweep: one study of many configs, started again where it stopped."""
+"""Executes a sweep: one kind of study for many configs, which can be continued."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ UNDER_WAY = (RunStatus.RUNNING, RunStatus.INTERRUPTED)
 
 
 def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredStudy:
-    """Read and check all that a run needs.
+    """Read and check all inputs of a run.
 
     Raises
     ------
     ClusterEstError
-        If something is wrong.
+        If an input is invalid.
     """
     return configure(run.read(), run.config.parent, run.study, allow_code=allow_code)
 
 
 def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
-    """Read and check all that a run needs, and keep only what it hashes to.
+    """Read and check all inputs of a run, and return their hashes.
 
     Raises
     ------
     ClusterEstError
-        If something is wrong.
+        If an input is invalid.
     """
     configured = read_sweep_run(run, allow_code=allow_code)
     identity, config = configured.identity, configured.config
@@ -76,15 +76,15 @@ def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
 def do_sweep_run(
     run: SweepRun, folder: Path, pools: SharedPools, listener: Listener, *, allow_code: bool
 ) -> RunStatus:
-    """Do a run into its folder, and return its status.
+    """Execute a run, write its folder, and return its status.
 
-    A run that fails says why in its run.json and hurts no other one.
+    The reason of a failure is in run.json. A failed run does not affect the other runs.
 
     Raises
     ------
     ExecutorError, RunFolderError
-        If there are no workers to be had, or its folder cannot be written, which would hit all
-        runs; the next call goes on.
+        If no workers can be started, or the folder cannot be written, because all runs would then
+        fail. The next call continues.
     """
     configured = read_sweep_run(run, allow_code=allow_code)
     clear_torn(folder)
@@ -94,21 +94,21 @@ def do_sweep_run(
     to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
         return do_run(configured, to, listener, pools).status
-    except UnsuitableExecutorError:  # for this FMU; others may run there
+    except UnsuitableExecutorError:  # other FMUs may run with this executor
         return RunStatus.FAILED
     except (ExecutorError, RunFolderError):
         raise
-    except Exception:  # whatever it is stands in its run.json; the other runs still can be done
+    except Exception:  # the reason is in run.json; the other runs can still be executed
         return RunStatus.FAILED
 
 
 def _is_under_way(folder: Path, identity: RunIdentity) -> bool:
-    """Return whether the folder holds this run as it was when its sweep ended."""
+    """Return whether the folder contains an unfinished execution of this run."""
     if not (folder / "run.json").is_file():
         return False
     try:
         return read_facts(folder)["status"] in UNDER_WAY and check_resumable(folder, identity)
-    except RunFolderError:  # it was a run of something else
+    except RunFolderError:  # the folder belongs to another run
         return False
 
 
@@ -119,11 +119,11 @@ class SweepResult:
     Attributes
     ----------
     rows
-        Of summary.parquet, one for each run.
+        Rows of summary.parquet, one for each run.
     ran
-        How many runs this call did.
+        Number of runs that this call executed.
     interrupted
-        By Ctrl-C; the next call goes on.
+        Whether the call was interrupted, for example by Ctrl-C; the next call continues.
     """
 
     rows: list[dict[str, Any]]
@@ -132,7 +132,7 @@ class SweepResult:
 
     @property
     def success(self) -> bool:
-        """True if every run reached a solution that nothing casts doubt on, in whatever call."""
+        """Whether every run has reached a solution without doubts, in this or an earlier call."""
         worths = {run_worth(row["status"], row["doubts"]) for row in self.rows}
         return worths <= {RunWorth.GOOD}
 
@@ -146,36 +146,37 @@ def sweep(
     retry_failed: bool = False,
     allow_code: bool = False,
 ) -> SweepResult:
-    """Do every run of a sweep that is not done yet.
+    """Execute every run of a sweep that has not been executed yet.
 
-    All runs are checked before the first one starts. They follow one another, each on all workers;
-    those with the same model and experiments come together and share their workers, and all with
-    Ray share one Ray. A run is skipped if its folder holds a solution for the same config, data,
-    FMU and versions. A run that failed is tried again if one of these or its budget has changed.
+    All runs are checked before the first one starts. They run one after the other, each on all
+    workers. Runs with the same model and experiments are grouped and share their workers, and all
+    runs with Ray share one Ray cluster. A run is skipped if its folder contains a solution for the
+    same config, data, FMU and versions. A failed run is repeated if one of these or its budget has
+    changed.
 
     Parameters
     ----------
     path
         The sweep file.
     out
-        Holds a run folder for each run, summary.parquet, history.parquet and sweep.json.
+        Folder for the run folders, summary.parquet, history.parquet and sweep.json.
     tell
         Called with a line for each run that ended.
     listener
-        Hears of each run while it is running.
+        Receives messages and progress of each run.
     retry_failed
-        Try again what failed, even if nothing has changed.
+        Whether to repeat failed runs even if nothing has changed.
     allow_code
-        Whether Python functions that configs name may run.
+        Whether Python functions that are named in configs may run.
 
     Raises
     ------
     ConfigError
-        With all that is wrong in the sweep, its configs and their data.
+        If the sweep, a config or its data have errors; the message lists all of them.
     RunFolderError
-        If the folder is not a sweep's, or another process is at work in it.
+        If the folder is not that of a sweep, or another process uses it.
     ExecutorError
-        If there are no workers to be had; the next call goes on.
+        If no workers can be started; the next call continues.
     """
     runs = read_sweep(path)
     check_folder(out)
@@ -216,7 +217,7 @@ def sweep(
 
 
 def _pooled(todo: list[PlannedRun]) -> list[SweepRun]:
-    """Return the runs in their order, but with those that share workers one after the other."""
+    """Return the runs in order, but grouped by their workers."""
     together: dict[str, list[SweepRun]] = defaultdict(list)
     for planned in todo:
         together[planned.pool].append(planned.run)
@@ -224,7 +225,7 @@ def _pooled(todo: list[PlannedRun]) -> list[SweepRun]:
 
 
 def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[PlannedRun]:
-    """Check every run; what is wrong in several is said once, with their names."""
+    """Check every run; an error of several runs is reported once, with their names."""
     plan: list[PlannedRun] = []
     wrong: dict[str, list[str]] = defaultdict(list)
     for run in runs:
@@ -242,7 +243,7 @@ def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[PlannedRun]:
 
 
 def _disagreements(plan: list[PlannedRun]) -> dict[str, list[str]]:
-    """Runs that ask for another cluster than the first one with the same executor does."""
+    """Return errors for runs with another cluster than the first run with the same executor."""
     first: dict[str, PlannedRun] = {}
     wrong: dict[str, list[str]] = defaultdict(list)
     for planned in plan:

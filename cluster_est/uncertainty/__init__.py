@@ -1,9 +1,9 @@
 """The uncertainty of estimates.
 
-`assess` needs no simulation: covariance, intervals, correlations and the directions that the data
-do not determine, from the Jacobian at the solution. `examine` simulates a few points for it
-where that tells more. `profiles` and `bootstrap` refit, on the same queue as any search, and
-`sample_posterior` draws there.
+`assess` needs no simulation. It computes the covariance, intervals, correlations and the directions
+that the data do not determine from the Jacobian at the solution. `examine` also simulates a few
+points if they are necessary. `profiles` and `bootstrap` refit, and `sample_posterior` draws from
+the posterior; they use the same queue as any search.
 """
 
 from __future__ import annotations

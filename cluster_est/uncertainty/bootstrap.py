@@ -1,13 +1,13 @@
-"""Bootstrap over experiments: intervals that need no assumption on the residuals.
+"""Bootstrap over experiments: intervals without assumptions on the residuals.
 
-As many experiments as there are, are drawn with replacement, and everything is estimated again,
-from the optimum. The scatter of the shared estimates from draw to draw is that from one series of
-experiments to the next, whatever correlates the residuals within one: A. C. Davison, D. V.
-Hinkley, Bootstrap Methods and their Application (1997), doi:10.1017/CBO9780511802843, chapters 2
-and 5.
+The experiments are drawn with replacement, as many as there are, and all values are estimated
+again, starting from the optimum. The scatter of the shared estimates approximates that between
+series of experiments. It allows for any correlation of residuals within an experiment (A. C.
+Davison, D. V. Hinkley, Bootstrap Methods and their Application (1997),
+doi:10.1017/CBO9780511802843, chapters 2 and 5).
 
-Take it where residuals are not white, or experiments differ by more than their noise. Not with few
-experiments, of which there are too few draws.
+Use it if residuals are not white, or if experiments differ by more than their noise. Do not use it
+with few experiments, because there are too few different draws.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from workers.messages.types import by_content
 
 LEAST_EXPERIMENTS = 5
 LEAST_DRAWS = 20
-"""Usable draws below which there is no interval."""
+"""Least number of usable draws for an interval."""
 
 
 @dataclass(frozen=True)
 class BootstrapDraw:
     """One draw: its experiments, their cost, the ending of the refit, and the shared estimates.
 
-    An estimate is NaN where none of the drawn experiments depends on it, or the refit failed.
+    An estimate is NaN if no drawn experiment depends on it, or if the refit failed.
     """
 
     experiments: tuple[str, ...]
@@ -49,22 +49,22 @@ class BootstrapDraw:
 
 @dataclass(frozen=True)
 class BootstrapInterval:
-    """Of one shared unknown, in physical units; NaN where too few draws are usable.
+    """The interval of one shared unknown, in physical units; NaN if too few draws are usable.
 
     Attributes
     ----------
     label, value, std_error
-        Whose it is, its estimate, and the standard deviation of the draws.
+        Label of the unknown, its estimate, and the standard deviation of the draws.
     lower, upper
-        Percentiles of the draws, taken further out so that they are right for few experiments too:
-        T. C. Hesterberg, The American Statistician 69 (2015) 371-386. The interval to quote.
+        Expanded percentiles of the draws, which are also accurate for few experiments (T. C.
+        Hesterberg, The American Statistician 69 (2015) 371-386). This is the interval to report.
     percentile_lower, percentile_upper
-        Percentiles as they are; too narrow for fewer than some 30 experiments.
+        Plain percentiles; too narrow for fewer than about 30 experiments.
     basic_lower, basic_upper
-        Those, mirrored at the estimate. Where they differ much from the percentiles the estimate
-        is biased, or its scatter depends on its value.
+        Plain percentiles mirrored at the estimate. If they differ much from the percentiles, the
+        estimate is biased, or its scatter depends on its value.
     used
-        Number of draws that these are from.
+        Number of usable draws.
     """
 
     label: str
@@ -87,15 +87,16 @@ class BootstrapResult:
     Attributes
     ----------
     intervals
-        Of the shared unknowns; `labels` are theirs.
+        Intervals of the shared unknowns; `labels` are their labels.
     draws
-        In the order in which they were drawn.
+        Draws in their order.
     failures
-        Draws whose refit failed and that count for nothing.
+        Number of draws that are not used because their refit failed.
     unfinished
-        Draws whose refit stopped early, at a limit of iterations for example. They count.
+        Number of draws whose refit stopped early, for example at a limit of iterations. They are
+        used.
     confidence
-        Of the intervals.
+        Confidence of the intervals.
     """
 
     labels: tuple[str, ...]
@@ -107,7 +108,7 @@ class BootstrapResult:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on draws that count for nothing, or stopped early, and on missing intervals."""
+        """Sentences on unused draws, on refits that stopped early, and on missing intervals."""
         count, found = len(self.draws), []
         if self.failures:
             found.append(
@@ -138,20 +139,20 @@ def bootstrap(
 ) -> BootstrapResult:
     """Draw experiments, refit, and return the scatter of the shared estimates.
 
-    Repeated questions are answered by the runner without simulating again.
+    The runner does not repeat simulations that it has already done.
 
     Parameters
     ----------
     runner
-        For the refits.
+        Runs the refits.
     space, solution
-        The space that was searched, and the optimum.
+        The search space, and the optimum.
     method
-        Refits; a local one, because it starts at the optimum.
+        Method of the refits; a local method, because refits start at the optimum.
     settings
         The number of draws, and the confidence.
     generator
-        The source of the draws.
+        Generates the draws.
 
     Raises
     ------
@@ -201,7 +202,7 @@ def check_bootstrap(space: SearchSpace) -> None:
     Raises
     ------
     ProblemError
-        If there are fewer than five, or priors, which no draw of experiments varies.
+        If there are fewer than five experiments, or priors, because draws do not vary priors.
     """
     named = next((u.label for u in space.unknowns if u.prior is not None), "")
     if named:
@@ -225,7 +226,7 @@ def _is_valid(solution: Solution) -> bool:
 
 
 def _draw(resample: SearchSpace, solution: Solution, space: SearchSpace) -> BootstrapDraw:
-    """Return the refit of a resample, with the estimates of what the whole space shares."""
+    """Return the refit of a resample, with the estimates of the shared unknowns."""
     estimates = resample.estimates(solution.x) if _is_valid(solution) else {}
     return BootstrapDraw(
         experiments=tuple(resample.problem.experiments[e].id for e in resample.experiments),
@@ -238,15 +239,15 @@ def _draw(resample: SearchSpace, solution: Solution, space: SearchSpace) -> Boot
 def percentile_interval(
     label: str, value: float, draws: FloatArray, experiments: int, confidence: float
 ) -> BootstrapInterval:
-    """Return the intervals of one unknown from its draws, of so many experiments each."""
+    """Return the intervals of one unknown from draws with this number of experiments each."""
     draws = draws[np.isfinite(draws)]
     used = len(draws)
     if used < LEAST_DRAWS:
         none = np.nan
         return BootstrapInterval(label, value, none, none, none, none, none, none, none, used)
     tail = (1.0 - confidence) / 2.0
-    # a normal quantile in the place of a t quantile, and the variance of draws is too small by
-    # (n - 1) / n: both are corrected by quantiles further out
+    # percentiles correspond to a normal quantile instead of a t quantile, and the variance of draws
+    # is too small by (n - 1) / n; quantiles further out correct both
     quantile = stdtrit(experiments - 1, tail) * np.sqrt(experiments / (experiments - 1.0))
     outer = float(ndtr(quantile))
     low, high = np.quantile(draws, [tail, 1.0 - tail]).tolist()

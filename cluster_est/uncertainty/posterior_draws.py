@@ -1,4 +1,4 @@
-"""What was drawn from a posterior, and where the outputs lie by it: bands of simulated draws."""
+"""Results of posterior sampling, and bands of the outputs from simulated draws."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from workers.messages.types import by_content
 from workers.residuals.observed import learnt_from, scale_and_offset
 
 LEAST_CHAIN_LENGTH = 50.0
-"""Autocorrelation times that a chain must be long, or the time itself is not known (the advice of
-D. Foreman-Mackey et al., doi:10.1086/670067, and of emcee's documentation)."""
+"""Least length of a chain in autocorrelation times; in a shorter chain, this time is not known (D.
+Foreman-Mackey et al., doi:10.1086/670067, and the documentation of emcee)."""
 SHRINKS = 1.05
-"""Largest shrink factor of chains that have mixed; Vehtari et al. advise 1.01 for four long chains,
-which halves of walkers of a few autocorrelation times cannot reach by chance alone."""
+"""Largest shrink factor of mixed chains. Vehtari et al. recommend 1.01 for four long chains; halves
+of walkers with a few autocorrelation times exceed this by chance."""
 
 
 @dataclass(frozen=True)
 class PosteriorInterval:
-    """What the draws say of one unknown, in physical units.
+    """The posterior of one unknown, in physical units.
 
     Attributes
     ----------
     label, value
-        Its label, and its estimate by the fit.
+        Label of the unknown, and its estimate from the fit.
     mean, std_error, median, lower, upper
-        Of the draws, with the ends of the interval that holds the central part of them; NaN where
-        the chains have not mixed.
+        Statistics of the draws, with the ends of the central interval; NaN if the chains have not
+        mixed.
     autocorrelation_time
-        In steps.
+        Autocorrelation time in steps.
     shrink_factor
         See `split_shrink_factors`.
     effective
-        Number of independent draws that are worth as much.
+        Effective number of independent draws.
     """
 
     label: str
@@ -67,21 +67,21 @@ class PosteriorResult:
     Attributes
     ----------
     labels
-        Of the unknowns.
+        Labels of the unknowns.
     values : (steps, walkers, unknowns)
-        Physical values, without the steps before the walkers had forgotten their starts.
+        Physical values, without the discarded first steps.
     log_densities : (steps, walkers)
-        In search coordinates, but for a constant.
+        Log densities in search coordinates, up to a constant.
     intervals
-        Of all unknowns.
+        Intervals of all unknowns.
     confidence
-        Of the intervals.
+        Confidence of the intervals.
     steps, discarded
-        Of each walker: in all, and those that are left out.
+        Number of steps of each walker, and number of discarded steps.
     failures, asked
-        Points that could not be simulated, and that were asked for.
+        Number of points that could not be simulated, and number of requested points.
     why_not
-        The reason why there are no draws; "" if there are some.
+        The reason why there are no draws; "" if there are draws.
     """
 
     labels: tuple[str, ...]
@@ -96,7 +96,7 @@ class PosteriorResult:
     why_not: str = ""
 
     def __bool__(self) -> bool:
-        """There are draws."""
+        """Return whether there are draws."""
         return bool(self.values.size)
 
     @property
@@ -106,26 +106,26 @@ class PosteriorResult:
 
     @property
     def mixed(self) -> bool:
-        """The chains are long enough, and all tell the same."""
+        """Whether the chains are long enough and agree with each other."""
         return is_mixed(len(self.values), self.intervals)
 
     @property
     def thinned(self) -> tuple[FloatArray, FloatArray, int]:
-        """Nearly independent draws: values, log densities, and how many steps lie between them."""
+        """Nearly independent draws: values, log densities, and the number of steps between them."""
         step = int(max(1.0, self.slowest / 2.0)) if np.isfinite(self.slowest) else 1
         return self.values[::step], self.log_densities[::step], step
 
     def to_arviz(self) -> Any:
-        """Return the draws as ArviZ has them: each walker is a chain, each unknown a variable.
+        """Return the draws for ArviZ: each walker is a chain, each unknown a variable.
 
-        The walkers of an ensemble move by each other, so that they are no independent chains:
-        judge mixing by `intervals`, and by ArviZ's ranks with care.
+        The moves of a walker depend on other walkers, so the chains are not independent. Use
+        `intervals` to assess mixing, and the ranks of ArviZ only with care.
 
         Returns
         -------
         DataTree or InferenceData
-            As the version of ArviZ has it, with the groups "posterior" and "sample_stats", whose
-            `lp` is the log density in search coordinates.
+            Depends on the version of ArviZ. It has the groups "posterior" and "sample_stats"; `lp`
+            of the second is the log density in search coordinates.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class PosteriorResult:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on how it went, and why there is no interval."""
+        """Sentences on the sampling, and on the reason if there is no interval."""
         if self.why_not:
             return (f"posterior: there are no draws, because {self.why_not}",)
         walkers, kept = self.values.shape[1], len(self.values)
@@ -191,34 +191,34 @@ def central(confidence: float) -> tuple[float, float, float]:
 
 
 def is_mixed(kept: int, intervals: tuple[PosteriorInterval, ...]) -> bool:
-    """Return whether so many steps tell of all unknowns, and all walkers tell the same."""
+    """Return whether the number of steps is sufficient for all unknowns, and all walkers agree."""
     slowest = max((each.autocorrelation_time for each in intervals), default=np.inf)
     return bool(kept >= LEAST_CHAIN_LENGTH * slowest and all(each.mixed for each in intervals))
 
 
 DRAWS_OF_BAND = 200
-"""Draws whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each,
-are then known to about a tenth of its width."""
+"""Number of simulated draws for a band. Five draws lie beyond each end of a 95 % band, so an end is
+accurate to about a tenth of the band's width."""
 FEWEST_DRAWS = 100
 DRAWS_AT_ONCE = 20
-"""Draws whose simulations are asked for together."""
+"""Number of draws that are simulated together."""
 MOST_VALUES = 20_000_000
-"""Simulated values that are kept at a time: 160 MB."""
+"""Largest number of simulated values in memory: 160 MB."""
 
 
 @by_content
 @dataclass(frozen=True)
 class PredictedBand:
-    """Where one output of an experiment lies, by the draws of a posterior.
+    """The posterior band of one output of an experiment.
 
-    It is the uncertainty of the values alone: a new measurement has its noise besides.
+    It contains the uncertainty of the parameters only, without the noise of new measurements.
 
     Attributes
     ----------
     experiment, output
-        The experiment's index and the output's name.
+        Index of the experiment, and name of the output.
     times, lower, median, upper : (n,)
-        At the measured times.
+        The measured times, and the band at these times.
     """
 
     experiment: int
@@ -232,24 +232,24 @@ class PredictedBand:
 def predicted_bands(
     runner: Runner, problem: Problem, posterior: PosteriorResult, known: Mapping[str, float]
 ) -> tuple[PredictedBand, ...]:
-    """Simulate all experiments at draws of a posterior, evenly spread over it.
+    """Simulate all experiments at evenly spaced draws of a posterior.
 
     Parameters
     ----------
     runner
-        For the simulations.
+        Runs the simulations.
     problem
-        Whose training experiments the posterior is of; held-out ones are predicted too.
+        The fitted problem; held-out experiments are also predicted.
     posterior
-        With chains that have mixed.
+        The posterior of the training experiments.
     known
-        Values by label of what only held-out experiments have; the same in every draw.
+        Values by label that only held-out experiments have; they are the same in every draw.
 
     Returns
     -------
     tuple of PredictedBand
-        None of an experiment that cannot be simulated at every draw, and none at all where they
-        would be too large to be kept.
+        Without experiments that cannot be simulated at every draw. Empty if the chains have not
+        mixed, or if the bands need too much memory.
     """
     samples = sum(len(o.times) for e in problem.experiments for o in e.outputs)
     count = min(DRAWS_OF_BAND, MOST_VALUES // max(samples, 1))

@@ -50,9 +50,9 @@ class ProfileResult:
         Points from low to high values, with the optimum; `labels` belong to their estimates.
     lower, upper
         The ends of the interval, in physical units. A missing end is infinite, or NaN if refits
-        failed. `open_lower` or `open_upper` then says why: "bound" if the profile reaches the
-        unknown's bound first, "flat" if it never rises enough, "failed" if refits failed, "unknown"
-        if the residuals do not determine how far the cost may rise.
+        failed. `open_lower` or `open_upper` is then the reason. "bound": the profile reaches the
+        unknown's bound first. "flat": it never rises enough. "failed": refits failed. "unknown":
+        the residuals do not determine how far the cost may rise.
     better
         (estimates, cost) of a point that is better than the optimum; None without such a point.
     """

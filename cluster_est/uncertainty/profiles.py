@@ -1,19 +1,19 @@
-"""Profile likelihoods: intervals by refits, for models that are nonlinear over them.
+"""Profile likelihoods: intervals from refits, for models that are nonlinear within the interval.
 
-For each chosen unknown the cost is minimised over all others with that one fixed, further and
-further from the optimum. The interval ends where the cost has risen by s^2 F(1, n - k), which for
-a linear model is exactly the interval of Student's t: D. M. Bates, D. G. Watts, Nonlinear
-Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1. For a
-likelihood s^2 is near 1, and the rise is the likelihood ratio's 3.84 with a correction for few
-residuals. Where the noise is not white, the rise is as much larger as the square of the unknown's
-standard error is (A. Rotnitzky, N. P. Jewell, Biometrika 77 (1990) 485-497,
-doi:10.1093/biomet/77.3.485). A profile that stays flat shows what the data do not determine: A.
-Raue et al., Bioinformatics 25 (2009) 1923-1929, doi:10.1093/bioinformatics/btp358.
+Each chosen unknown is fixed at values further and further from the optimum, and the cost is
+minimised over the other unknowns. The interval ends at a cost increase of s^2 F(1, n - k). For a
+linear model, this is exactly the interval of Student's t (D. M. Bates, D. G. Watts, Nonlinear
+Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1). For a
+likelihood, s^2 is near 1, and the increase is the 3.84 of the likelihood ratio with a correction
+for few residuals. If the noise is not white, the increase is larger by the same factor as the
+square of the standard error (A. Rotnitzky, N. P. Jewell, Biometrika 77 (1990) 485-497,
+doi:10.1093/biomet/77.3.485). A flat profile shows that the data do not determine the unknown (A.
+Raue et al., Bioinformatics 25 (2009) 1923-1929, doi:10.1093/bioinformatics/btp358).
 
-Take it where an interval is wide, one-sided or reaches a bound, or where constraints on signals
-are active: refits keep all of them. It costs some ten fits for each side of each unknown. Each side
-is a search in the full space like any other, so that all sides of all profiles run at the same
-time; inside it another method searches the space without the profiled unknown.
+Use it if an interval is wide, one-sided or reaches a bound, or if constraints on signals are
+active, because refits satisfy all constraints. It takes about ten fits for each side of each
+unknown. Each side is a search in the full space, so all sides of all profiles run at the same time.
+Within this search, another method searches the space without the profiled unknown.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class RequestedIndices:
 
 
 def refit(method: Method, space: SearchSpace, generator: np.random.Generator) -> Search:
-    """Search a space; only evaluate its start where no unknown is left."""
+    """Search a space; if it has no unknowns, only evaluate its start."""
     if space.size:
         return (yield from method.search(space, generator))
     (at,) = yield Points(space.start[None, :], "start")
@@ -79,9 +79,9 @@ def refit(method: Method, space: SearchSpace, generator: np.random.Generator) ->
 def embedded(
     search: Search, x: FloatArray, i: int, requested: RequestedIndices, progress: Progress
 ) -> Search:
-    """Run a search of the space without unknown i in the full space, where that is x[i].
+    """Run a search of the space without unknown i in the full space, with this unknown at x[i].
 
-    Both number points in their own way. Points that an earlier search left unanswered are dropped.
+    The indices of the points are converted. Unanswered points of an earlier search are dropped.
     """
     offset, stale = requested.count, tuple(sorted(requested.outstanding))
     requested.outstanding.clear()
@@ -104,29 +104,29 @@ def embedded(
 
 
 FAILURE_FACTOR = 0.25
-"""Factor of the step after a refit that failed."""
+"""Factor on the step after a failed refit."""
 MOST_FAILED_REFITS = 5
 
 
 @dataclass(frozen=True)
 class ProfileSolution(Solution):
-    """One side of a profile: its points are `others`, and `end` says why it stopped."""
+    """One side of a profile: its points are `others`, and `end` is the reason of its end."""
 
     end: ProfileEnd = ProfileEnd.FAILED
 
 
 @dataclass(frozen=True)
 class ProfileContinuation(Method):
-    """Change one unknown step by step until the cost has risen far enough.
+    """Changes one unknown in steps until the cost has risen enough.
 
     The signed root of the rise is nearly linear in the unknown (D. M. Bates, D. G. Watts, Nonlinear
-    Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1), so the
+    Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1). So the
     next step is predicted from the last one, and the end is interpolated.
 
     Attributes
     ----------
     inner
-        Refits the other unknowns. A local method: it starts close to their minimum.
+        Method that refits the other unknowns; a local method, because it starts near their minimum.
     target
         The unknown, the direction, and the rise of the cost at the end.
     first
@@ -145,7 +145,7 @@ class ProfileContinuation(Method):
         target, i = self.target, self.target.unknown
         steps = ProfileSteps(target, space, [RefitPoint(space.start, target.cost, 0.0)], self.first)
         requested, failures = RequestedIndices(), 0
-        # as many steps again, where the profile is so steep that its end must be closed in on
+        # further steps, as many again, may be necessary to locate the end of a steep profile
         for number in range(2 * target.max_steps):
             if steps.outside is None and number >= target.max_steps:
                 return _solution(steps, ProfileEnd.FLAT)
@@ -167,7 +167,7 @@ class ProfileContinuation(Method):
 
 
 def _solution(steps: ProfileSteps, end: ProfileEnd) -> ProfileSolution:
-    """Return all points as others; the end is found once a point is outside the interval."""
+    """Return all points as `others`; the end is known if a point is outside the interval."""
     if steps.outside is not None:
         end = ProfileEnd.FOUND
     best = min(steps.points, key=lambda point: point.cost)
@@ -184,7 +184,7 @@ def _is_valid(solution: Solution) -> bool:
 
 
 BETTER_OPTIMUM = 1e-3
-"""Part of the rise: a cost that is lower than the optimum's by more means that it was none."""
+"""Decrease of the cost over the rise, above which a point is a better optimum."""
 
 
 def profiles(
@@ -194,24 +194,25 @@ def profiles(
     method: Method,
     settings: UncertaintySettings,
 ) -> tuple[ProfileResult, ...]:
-    """Profile the unknowns that the settings name, all at the same time.
+    """Compute the profiles of the unknowns in the settings, all at the same time.
+
+    If the residuals do not determine the rise of the cost, the profiles have no ends.
 
     Parameters
     ----------
     runner
-        For the refits.
+        Runs the refits.
     space, solution
-        The space that was searched, and the optimum.
+        The search space, and the optimum.
     method
-        Refits the other unknowns; a local one, because it starts close to their minimum.
+        Method that refits the other unknowns; a local method, because it starts near their minimum.
     settings
         The unknowns, and the number of steps.
 
     Raises
     ------
     ProblemError
-        See `check_profiles`. Where only the solution does not determine the rise of the cost, such
-        as one without residuals, the profiles are open and say so.
+        See `check_profiles`.
     """
     check_profiles(space, settings)
     chosen = select(space, settings.profiles)
@@ -244,7 +245,7 @@ def _search_name(space: SearchSpace, continuation: ProfileContinuation) -> str:
 
 
 def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
-    """Return the positions of unknowns that are named by label, parameter, "shared" or "all".
+    """Return the positions of unknowns, given by label, parameter, "shared" or "all".
 
     Raises
     ------
@@ -271,7 +272,7 @@ def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
 
 
 def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
-    """Refuse profiles that cannot be taken, before anything is simulated.
+    """Refuse profiles that cannot be computed, before any simulation.
 
     Raises
     ------
@@ -296,10 +297,10 @@ def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
 
 
 def _rise(linear: Uncertainty, i: int, settings: UncertaintySettings) -> float:
-    """Return by how much the cost rises to the ends of an unknown's interval.
+    """Return the increase of the cost at the ends of an unknown's interval.
 
-    Where the noise is not white, by as much more as the square of its standard error is larger; and
-    where priors keep their own widths, by as much less or more as that makes it.
+    It is proportional to the square of the standard error, which includes the effects of noise that
+    is not white and of priors.
     """
     if settings.rise > 0.0:
         return settings.rise
@@ -317,7 +318,7 @@ def _rise(linear: Uncertainty, i: int, settings: UncertaintySettings) -> float:
 def _undetermined(
     space: SearchSpace, solution: Solution, i: int, settings: UncertaintySettings
 ) -> ProfileResult:
-    """Return a profile of the optimum alone, where the rise at its ends is not known."""
+    """Return a profile with only the optimum, if the rise at its ends is not known."""
     estimates = tuple(space.estimates(solution.x).values())
     return ProfileResult(
         label=space.unknowns[i].label,
@@ -337,7 +338,7 @@ def _undetermined(
 def _first_step(
     space: SearchSpace, solution: Solution, linear: Uncertainty, i: int, steps: int
 ) -> float:
-    """Return the first step: a part of the interval by derivatives, if there is one."""
+    """Return the first step: a part of the interval from derivatives, if there is one."""
     unknown = space.unknowns[i]
     x, error = float(solution.x[i]), linear.intervals[i].std_error
     if unknown.log:
@@ -349,7 +350,7 @@ def _first_step(
 
 @dataclass(frozen=True)
 class _ProfileSide:
-    """The points of one side, outwards from the optimum, and its end."""
+    """The points of one side of a profile, from the optimum outwards, and its end."""
 
     target: ProfileTarget
     path: list[RefitPoint]
@@ -373,7 +374,7 @@ class _ProfileSide:
 
 
 def _side(continuation: ProfileContinuation, found: Solution, start: FloatArray) -> _ProfileSide:
-    """Return the points of a search; one that was ended from outside has its start only."""
+    """Return the points of a search; a search that was stopped has only its start."""
     target = continuation.target
     if not isinstance(found, ProfileSolution):
         return _ProfileSide(target, [RefitPoint(start, target.cost, 0.0)], ProfileEnd.FAILED)

@@ -15,8 +15,8 @@ from workers.messages import FloatArray
 def with_start(space: SearchSpace, x: FloatArray) -> SearchSpace:
     """Return the space with the start x.
 
-    The size of a noticeable change stays what it was: it comes from the start that the user gave,
-    and an estimate that happens to be nearly 0 says nothing about it.
+    The sizes of noticeable changes are kept, because they come from the user's start values. An
+    estimate near 0 does not determine them.
     """
     return _made(space, space.unknowns, space.base, x, np.arange(space.size))
 
@@ -24,7 +24,7 @@ def with_start(space: SearchSpace, x: FloatArray) -> SearchSpace:
 def with_fixed_unknown(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
     """Return the space in which unknown i is fixed at its value in x, and the others start at x.
 
-    Its prior still counts.
+    The prior of the fixed unknown still adds to the cost.
     """
     unknown = space.unknowns[i]
     base = space.base.copy()
@@ -43,9 +43,9 @@ def with_fixed_unknown(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace
 
 
 def resampled(space: SearchSpace, positions: Sequence[int], x: FloatArray) -> SearchSpace:
-    """Return the space of some experiments, of which one may appear several times.
+    """Return the space of some experiments; an experiment may occur several times.
 
-    Copies of an experiment share its own unknowns, and each counts.
+    Copies of an experiment share its unknowns, and each copy counts.
     """
     places: dict[int, list[int]] = {}
     for new, old in enumerate(positions):
@@ -80,7 +80,7 @@ def _started(
     x: FloatArray,
     columns: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
 ) -> SearchSpace:
-    """Set start and sizes, cached properties that would follow from the unknowns' own starts."""
+    """Set the cached start and sizes, which would otherwise come from the unknowns' starts."""
     vars(made)["start"] = np.clip(x[columns], space.lower[columns], space.upper[columns])
     vars(made)["typical"] = space.typical[columns]
     return made

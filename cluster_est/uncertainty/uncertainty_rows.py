@@ -75,7 +75,7 @@ class IntervalRow:
     """A row of intervals.parquet: an interval from refits or draws.
 
     `source` is "profile", "bootstrap", "bootstrap percentile", "bootstrap basic" or "posterior".
-    `open_lower` and `open_upper` say why a profile has no lower or upper end.
+    `open_lower` and `open_upper` are the reasons why a profile has no lower or upper end.
     """
 
     label: str
@@ -89,7 +89,7 @@ class IntervalRow:
 
 
 def correlation_rows(found: Uncertainty) -> list[CorrelationRow]:
-    """Return the rows of shared unknowns, then those of local with shared unknowns."""
+    """Return the rows of pairs of shared unknowns, then of local with shared unknowns."""
     rows = [
         CorrelationRow(label, other, float(found.correlations[i, j]))
         for i, label in enumerate(found.shared)

@@ -1,7 +1,8 @@
-"""Cells of text as numbers: decimals, thousands, and what means that nothing was measured.
+"""Converts cells with text to numbers: decimal and thousands separators, and missing values.
 
-"1,234" may be 1.234 or 1234. The other cells of its column tell, else those of the file, else the
-user: a guess would be wrong in silence by a factor of a thousand.
+"1,234" may be 1.234 or 1234. This is decided from the other cells of the column, or else from the
+other columns of the file. Otherwise the user must decide, because a guess may be wrong by a factor
+of a thousand without notice.
 """
 
 from __future__ import annotations
@@ -23,24 +24,24 @@ MISSING = [
     "undefined", "Undefined", "missing", "Missing", "invalid", "Invalid", "Bad", "bad",
     "I/O Timeout",
 ]  # fmt: skip
-"""Cells that mean that nothing was measured."""
+"""Cells that mark missing measurements."""
 _SIGN, _END = r"^[+-]?", r"([eE][+-]?\d+)?$"
 _GROUPED: Final = {",": rf"{_SIGN}\d{{1,3}}(,\d{{3}})+", ".": rf"{_SIGN}\d{{1,3}}(\.\d{{3}})+"}
 _OTHER: Final = {",": ".", ".": ","}
 _POINTS: Final = {",": ",", ".": r"\."}
 _FORTRAN: Final = r"^([+-]?[0-9.,]+)[dD]([+-]?[0-9]+)$"
-"""Numbers of double precision as Fortran writes them."""
+"""Double-precision numbers in the notation of Fortran."""
 _BLANKS: Final = r"^[+-]?\d{1,3}([ \x{a0}\x{202f}\x{2019}']\d{3})+([.,]\d+)?$"
-"""Thousands that are separated by blanks or apostrophes."""
+"""Numbers with blanks or apostrophes as thousands separators."""
 
 
 class AmbiguousNumberError(ValueError):
-    """A cell has either decimals or thousands, and nothing tells which.
+    """Raised for a cell whose separator may be a decimal or a thousands separator.
 
     Attributes
     ----------
     index, cell
-        The first such cell.
+        Index and text of the first such cell.
     """
 
     def __init__(self, index: int, cell: str) -> None:
@@ -49,48 +50,48 @@ class AmbiguousNumberError(ValueError):
 
 
 def is_text(column: pa.ChunkedArray) -> bool:
-    """Return True for a column of texts."""
+    """Return whether a column contains text."""
     return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
 
 
 def is_numeric(column: pa.ChunkedArray) -> bool:
-    """Return True for a column of numbers, or of true and false."""
+    """Return whether a column contains numbers or Boolean values."""
     kinds = ("floating", "integer", "null", "boolean", "decimal")
     return any(getattr(pa.types, f"is_{kind}")(column.type) for kind in kinds)
 
 
 def as_numbers(column: pa.ChunkedArray) -> FloatArray:
-    """Return the cells as floats, NaN for empty ones."""
-    # unsafe: integers beyond 2**53, like times in nanoseconds, are rounded rather than refused
+    """Return the cells as floats; NaN for empty cells."""
+    # not safe: integers beyond 2**53, such as times in nanoseconds, are rounded and not refused
     return np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
 
 
 def trimmed_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Text without blanks around it, null where nothing was measured."""
+    """Return the texts without surrounding blanks; null for missing measurements."""
     trimmed = pc.utf8_trim_whitespace(column)
     absent = pc.is_in(trimmed, value_set=pa.array(MISSING, trimmed.type))
     return pc.if_else(absent, None, trimmed)
 
 
 def text_numbers(column: pa.ChunkedArray, given: str, of_file: str) -> FloatArray:
-    """Numbers that stand as text; true and false, on and off, in any case, are 1 and 0.
+    """Convert texts to numbers; true and false, on and off, in any case, become 1 and 0.
 
     Parameters
     ----------
     column
-        Of text.
+        A column with text.
     given
-        The sign before decimals, if the user has said it; else "".
+        The decimal separator that the user gives; "" if none is given.
     of_file
-        The sign before decimals in other columns of the file; "" if they do not tell, so that a
-        point before three digits is one; ";" if it may separate thousands then.
+        The decimal separator in other columns of the file. "" if it is not known; a point before
+        three digits is then a decimal point. ";" if the point may be a thousands separator.
 
     Raises
     ------
     AmbiguousNumberError
-        If it is neither said nor told.
+        If the decimal separator cannot be determined.
     pa.ArrowInvalid
-        If a cell is no number.
+        If a cell is not a number.
     """
     cells = trimmed_cells(column)
     try:
@@ -102,7 +103,7 @@ def text_numbers(column: pa.ChunkedArray, given: str, of_file: str) -> FloatArra
 
 
 def first_text(column: pa.ChunkedArray, given: str, of_file: str) -> int:
-    """Position of the first cell that is no number, by halving."""
+    """Return the position of the first cell that is not a number, by bisection."""
     cells = _switches(_plain(trimmed_cells(column), given, of_file))
     good, bad = 0, len(cells)
     while bad - good > 1:
@@ -116,7 +117,7 @@ def first_text(column: pa.ChunkedArray, given: str, of_file: str) -> int:
 
 
 def _switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Text in which true and false, on and off, in any case, are 1 and 0."""
+    """Replace true and false, on and off, in any case, by 1 and 0."""
     lowered = pc.utf8_lower(cells)
     for word, number in (("true", "1"), ("false", "0"), ("on", "1"), ("off", "0")):
         cells = pc.if_else(pc.equal(lowered, word), number, cells)
@@ -124,7 +125,7 @@ def _switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def _plain(cells: pa.ChunkedArray, given: str, of_file: str) -> pa.ChunkedArray:
-    """Numbers with a point before their decimals, and nothing between thousands."""
+    """Return numbers with a decimal point and without thousands separators."""
     cells = pc.replace_substring(cells, "\u2212", "-")
     if _contain_pattern(cells, _FORTRAN):
         cells = pc.replace_substring_regex(cells, _FORTRAN, r"\1e\2")
@@ -139,17 +140,17 @@ def _plain(cells: pa.ChunkedArray, given: str, of_file: str) -> pa.ChunkedArray:
         bare = pc.replace_substring(cells, other, "")
         pattern = _GROUPED[other] + rf"({_POINTS[decimal]}\d*)?" + _END
         cells = pc.if_else(pc.match_substring_regex(cells, pattern), bare, cells)
-        if decimal == ",":  # what is left of the other sign is no number
+        if decimal == ",":  # a cell that still has a point is not a number
             cells = pc.replace_substring(cells, other, "?")
     return pc.replace_substring(cells, ",", ".") if decimal == "," else cells
 
 
 def _decimal_of(cells: pa.ChunkedArray, of_file: str) -> str:
-    """Return the sign before decimals in a column."""
+    """Return the decimal separator of a column."""
     comma, point = (_contain_pattern(cells, _surely(sign)) for sign in (",", "."))
     if comma is not point:
         return "," if comma else "."
-    if comma or of_file in (".", ","):  # of both kinds: the other one is refused
+    if comma or of_file in (".", ","):  # with both kinds, cells with a decimal comma are refused
         return "." if comma else of_file
     if not of_file and not _contain(cells, ","):
         return "."
@@ -159,7 +160,7 @@ def _decimal_of(cells: pa.ChunkedArray, of_file: str) -> str:
 
 
 def _surely(sign: str) -> str:
-    """Return a pattern of what only numbers with decimals behind a sign are."""
+    """Return a pattern for numbers in which this sign is certainly the decimal separator."""
     point, thousands = _POINTS[sign], _POINTS[_OTHER[sign]]
     return (
         rf"{_SIGN}(\d*{point}(\d{{0,2}}|\d{{4,}})|(0\d*|\d{{4,}})?{point}\d{{3}}"
@@ -176,19 +177,19 @@ _NUMBER: Final = re.compile(
 
 
 def looks_like_a_number(cell: str) -> bool:
-    """Return whether a text is a number, of whatever spelling."""
+    """Return whether a text is a number in any notation."""
     return _NUMBER.fullmatch(cell) is not None
 
 
 def without_groups(cell: str) -> str:
-    """Return a text without what may separate its thousands, and with a plain minus sign."""
+    """Return a text without blanks and apostrophes between thousands, with a plain minus sign."""
     return _SEPARATORS.sub("", cell).replace("\u2212", "-")
 
 
 def decimal_in(cells: Iterable[str]) -> str:
-    """Return the sign before decimals that some cells of a file tell.
+    """Return the decimal separator that follows from some cells of a file.
 
-    It is "" if they do not, and ";" if some tell one and others the other.
+    It is "" if it does not follow from them, and ";" if they contradict each other.
     """
     kinds = {sign for cell in cells for sign in (",", ".") if _SURELY[sign].match(cell)}
     return ";" if len(kinds) == 2 else kinds.pop() if kinds else ""

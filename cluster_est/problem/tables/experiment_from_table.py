@@ -1,4 +1,4 @@
-"""Experiments from tables in memory: of pandas, polars or pyarrow, or a dict of columns."""
+"""Makes experiments from tables in memory: pandas, polars, pyarrow, or a dict of columns."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ from workers.messages.checks import (
 
 
 def table_of(given: Any, where: str) -> MeasuredTable:
-    """A table in memory as a measured table.
+    """Return a table in memory as a measured table.
 
     Parameters
     ----------
     given
         A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, or a path.
     where
-        Opens each message.
+        Start of each message.
 
     Raises
     ------
@@ -89,26 +89,26 @@ def table_of(given: Any, where: str) -> MeasuredTable:
 
 
 def _index_name(given: Any) -> str | None:
-    """The name of a frame's index, where that says more than the numbers of its rows."""
+    """Return the name of a DataFrame's index; None for row numbers without a name."""
     index: Any = getattr(given, "index", None)
-    if getattr(index, "name", None) is not None:  # of pandas
+    if getattr(index, "name", None) is not None:  # a pandas index with a name
         return str(index.name)
     is_time = getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f")
     return INDEX if is_time else None
 
 
 def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
-    """Columns of pandas or of a dict; one that Arrow cannot read is unusable, not an error yet."""
+    """Return a table from columns; a column that Arrow cannot read is only marked as unusable."""
     counts = Counter(name for name, _ in pairs)
     columns: dict[str, Column] = {}
     unusable = {name: repeated(count) for name, count in counts.items() if count > 1}
     for name, column in pairs:
         if name in unusable:
             continue
-        if hasattr(column, "reset_index"):  # Arrow may ask for its values by their places
+        if hasattr(column, "reset_index"):  # Arrow may access values by position
             column = column.reset_index(drop=True)
         if isinstance(column, np.ndarray) and column.dtype.kind in "Mm":
-            column = column.astype(f"{column.dtype.kind}8[ns]")  # not all units are Arrow's
+            column = column.astype(f"{column.dtype.kind}8[ns]")  # Arrow lacks some units
         try:
             columns[name] = pa.chunked_array([pa.array(column, from_pandas=True)])
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
@@ -118,13 +118,13 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
 
 
 Columns = Mapping[str, str | Mapping[str, Any]] | Sequence[str]
-"""Variables of the FMU, each with its column, or its column and more; or names that both have."""
+"""Variables of the FMU with their columns (and options), or names of both variable and column."""
 INDEX = "index"
-"""Name of the times that a frame of pandas has as its index without a name."""
+"""Name of the time column for an unnamed index of a pandas DataFrame."""
 OF_INPUTS = ("column", "interpolation", "time")
 OBSERVED = ("free_scale", "free_offset", "detection_limit", "ordinal")
 OF_OUTPUTS = ("column", "time", *OBSERVED)
-"""What may be said of an input or an output, in place of its column alone."""
+"""Keys that may be given for an output; `OF_INPUTS` are those of an input or a signal."""
 
 
 def experiment_from_table(
@@ -158,47 +158,47 @@ def experiment_from_table(
             frame, id="step", time="t", inputs={"F": "force"}, outputs={"y": "position"}, sigma=0.01
         )
 
-    Columns are checked as those of a file that a config names. Empty cells (NaN, None) mean that
-    nothing was measured there.
+    Columns are checked like the columns of a file in a config. Empty cells (NaN, None) are missing
+    measurements.
 
     Parameters
     ----------
     table
-        A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, what `read_table`
-        gave, or the path of a file.
+        A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, a result of
+        `read_table`, or the path of a file.
     id
         Name of the experiment.
     outputs
-        {FMU output: column}, a list of names that both have, or {FMU output: {"column": ...,
-        "free_scale": True}}. Besides `free_scale` there are `time` (a column with times of its
-        own), `free_offset`, `detection_limit` and
-        `ordinal`, as in `Output`; `ordinal` may be a list of words too, the lowest first, if these
-        stand in the column.
+        {FMU output: column}, a list of names of both output and column, or {FMU output: {"column":
+        ..., "free_scale": True}}. Further keys are `time` (a column with own times), `free_offset`,
+        `detection_limit` and `ordinal`, as in `Output`. `ordinal` may also be a list of the words
+        in the column, the lowest first.
     time
         Column with the time: seconds, timestamps, or durations. Timestamps, and numbers of seconds
-        since 1970, count from the first used row. "DATE + CLOCK" joins two columns. Of a frame of
-        pandas, its index if this and `sample_time` are left out; "index" is one without a name.
+        since 1970, count from the first used row. "DATE + CLOCK" joins two columns. If `time` and
+        `sample_time` are left out, the index of a pandas DataFrame is used. "index" is an index
+        without a name.
     sample_time
-        Seconds between rows, where there is no such column.
+        Seconds between rows, if there is no time column.
     inputs, signals
         {FMU input: column}, or {FMU input: {"column": ..., "interpolation": "hold", "time": ...}};
-        `time` names a column with times of its own. Signals are
-        measured too, but are no inputs of the model: effects may depend on them.
+        `time` is a column with own times. Signals are measured, but they are not inputs of the
+        model; effects may depend on them.
     sigma
-        Standard deviation of the noise, of all outputs or by output.
+        Standard deviation of the noise, for all outputs or by output.
     relative_sigma
-        Likewise the part of each measured value that its noise has besides; only with sigma.
+        Additional noise as a fraction of each measured value, likewise; only with sigma.
     columns
-        {column: {"factor": ..., "offset": ..., "demean": ..., "late": ...}}: changes of unit, and
-        seconds by which its times are late.
+        {column: {"factor": ..., "offset": ..., "demean": ..., "late": ...}}: changes of units, and
+        the delay of the column's times in seconds.
     rows
-        (from, to): rows from (counted from 0) up to, not with, to.
+        (from, to): the used rows, counted from 0, without row `to`.
     missing
-        One or several numbers in the columns that mean that nothing was measured, such as -9999.
+        One or more numbers in the columns that mark missing measurements, such as -9999.
     left_out
-        {FMU output: times in seconds of samples that do not count}, such as outliers.
+        {FMU output: times in seconds of samples to leave out}, such as outliers.
     start, stop
-        Simulated interval in seconds; by default as far as the data goes.
+        Simulated interval in seconds; by default the interval of the data.
     values
         Known start values of this run by variable name.
     role
@@ -206,17 +206,17 @@ def experiment_from_table(
     groups
         Labels by key, for parameters with ``per = "group:KEY"``.
     gaps
-        "split" lets what is behind a gap in which inputs may have moved begin with initial states
-        of its own, which a fit estimates; "bridge" draws inputs through.
+        Treatment of gaps in which inputs may have changed. "split": the part after the gap has its
+        own initial states, which a fit estimates. "bridge": inputs are interpolated.
     cost_function
         A function of a `SimulatedRun` (`times`, `simulated[NAME]`, `measured[NAME]`, `sigma[NAME]`,
-        `values[NAME]`) that returns residuals, or one number with the cost "total", in place of
-        those of the outputs. It runs on the workers, which are sent a copy.
+        `values[NAME]`). It returns residuals, or one number with the cost "total", instead of the
+        outputs' residuals. It runs in the workers, which receive a copy.
 
     Raises
     ------
     DataError
-        If a column is missing or holds something that is no measurement.
+        If a column is missing or contains anything but measurements.
     """
     check_name(id, "experiment.id", DataError)
     where = f"experiment {id!r}"
@@ -271,7 +271,7 @@ def _table(table: Any, where: str) -> MeasuredTable:
 
 
 def _named(given: Columns, where: str, known: tuple[str, ...]) -> dict[str, Mapping[str, Any]]:
-    """The column of each variable, and what is said of it besides."""
+    """Return the column and the options of each variable."""
     if not isinstance(given, Mapping):
         names = as_tuple(given, str, where, DataError)
         check_once(names, where, DataError)
@@ -303,7 +303,7 @@ def _output(
     sigmas: tuple[float, float],
     time: str | None,
 ) -> Output:
-    """A measured output, with what is said of how it was observed."""
+    """Return a measured output with its options."""
     observed = {key: given[key] for key in OBSERVED if key in given}
     words = observed.get("ordinal")
     if isinstance(words, Sequence) and not isinstance(words, str):
@@ -317,7 +317,7 @@ def _output(
 def _without_left_out(
     measured: Sequence[Output], left_out: Mapping[str, Sequence[float]], where: str
 ) -> list[Output]:
-    """The outputs without the samples that do not count."""
+    """Return the outputs without the samples to leave out."""
     names = [output.variable for output in measured]
     times: dict[str, tuple[float, ...]] = {}
     for name, given in left_out.items():
@@ -336,7 +336,7 @@ def _without_left_out(
 def _of_outputs(
     number: float | Mapping[str, float], default: float, outputs: Mapping[str, Any], where: str
 ) -> dict[str, float]:
-    """A number for each output, from one for all of them or from those of some."""
+    """Return a number for each output, from one number for all or from numbers by output."""
     given = number if isinstance(number, Mapping) else dict.fromkeys(outputs, number)
     for name, value in given.items():
         check_name(name, f"{where}: an output", DataError)

@@ -1,4 +1,4 @@
-"""Measured tables from files: the ending of a name says which format it is."""
+"""Reads measured tables from files; the file name's extension determines the format."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ INSTEAD = {
     ".ods": "save it as .xlsx", ".json": "save it as .csv", ".jsonl": "save it as .csv",
     ".blf": "save it as .mf4", ".d97": "save it as .mf4", ".raw": "save it as .csv or .mf4",
 }  # fmt: skip
-"""What makes a file that can be read of others."""
+"""How to convert files in other formats to a readable file, by extension."""
 OF_EVERY_FORMAT = ("time_format", "time_zone", "long")
-"""Keys of `Reading` that mean something whatever the format is."""
+"""Keys of `Reading` that apply to all formats."""
 
 
 def format_of(path: Path) -> TableFormat | None:
-    """Return the format that the name of a file says; None if it ends otherwise."""
+    """Return the format for the extension of a file name; None if it is unknown."""
     name = path.name.lower()
     return ENDINGS.get("".join(Path(name).suffixes[-2:])) or ENDINGS.get(Path(name).suffix)
 
@@ -38,22 +38,22 @@ def read_table(
     *,
     reading: Reading | Mapping[str, Any] | None = None,
 ) -> MeasuredTable:
-    """Read a measured file; its ending says what it is.
+    """Read a measured file; its extension determines the format.
 
     Parameters
     ----------
     path
-        Of a file of one of the formats, such as csv, parquet, MAT, MDF or xlsx.
+        Path of a file in one of the formats, such as csv, parquet, MAT, MDF or xlsx.
     where
-        Opens each message.
+        Start of each message.
     reading
-        What is known of the file, by the keys of an experiment in a config: {"encoding": "cp1252"}.
+        Options for reading the file, with the keys of a config, such as {"encoding": "cp1252"}.
 
     Raises
     ------
     DataError
-        If there is no such file, or it is not what its ending says, or the library for its format
-        is not installed.
+        If there is no such file, its content does not fit its extension, or the library for its
+        format is not installed.
     """
     path = as_path(path, where, DataError)
     reading = _checked(reading, where)
@@ -65,7 +65,7 @@ def read_table(
         )
     _refuse_idle(kind, reading, path, where)
     try:
-        path.stat()  # before a library is asked for that may be missing
+        path.stat()  # before the import of a library that may be missing
         table = replace(kind.read(path, reading), reading=reading)
         return wide(table, *reading.long) if reading.long else table
     except DataError as error:
@@ -107,7 +107,7 @@ def _checked(given: Reading | Mapping[str, Any] | None, where: str) -> Reading:
 
 
 def _refuse_idle(kind: TableFormat, reading: Reading, path: Path, where: str) -> None:
-    """Refuse a key that means nothing to a format: its user expects that it does something."""
+    """Refuse options that have no effect on this format, because the user expects an effect."""
     known, usual = (*kind.keys, *OF_EVERY_FORMAT), Reading()
     for key in vars(reading):
         if key not in known and getattr(reading, key) != getattr(usual, key):

@@ -1,8 +1,8 @@
-"""Gaps in a record: stretches much longer than its usual step in which inputs were not measured.
+"""Gaps in a record: intervals much longer than its usual step without measurements of inputs.
 
-A gap is found by the times alone. Whether a model can run through it is a question of its inputs:
-where one is constant, or goes on along one straight line, for as long before the gap and behind it
-as the gap lasts, it is taken to have done so in it too. Anything else may have happened there.
+Gaps are found from the times only. A model can be simulated through a gap if its inputs are known
+there. An input is known if it is constant, or follows one straight line, before and after the gap,
+for the length of the gap on each side. Any other input may have changed in the gap.
 """
 
 from __future__ import annotations
@@ -16,49 +16,49 @@ import numpy as np
 from workers.messages import Experiment, FloatArray, Input, Output
 
 LEAST_STEPS = 10
-"""Steps of a signal of which the usual one can be told."""
+"""Least number of steps of a signal with a known usual step."""
 STEPS_OF_GAP = 5.0
-"""Median steps that a gap is longer than: fewer samples that were lost are bridged."""
+"""Least length of a gap in median steps; shorter intervals without samples are bridged."""
 LONG_STEPS_OF_GAP, LONG_STEP = 4.0, 0.95
-"""And steps of this quantile: of steps that are exponentially distributed, as widely as there is,
-six in a million are longer."""
+"""Least length of a gap in long steps, and the quantile of these. Of exponentially distributed
+steps, which is a wide distribution, six in a million are longer."""
 NEAR = 5
-"""Steps to either side that a gap is compared with too, where a record changes its rate."""
+"""Number of steps on each side with which a gap is also compared, if the sampling rate changes."""
 STRAIGHT = 1e-3
-"""Distance of an input from a straight line around a gap, over its range, that is nothing."""
+"""Negligible distance of an input from a straight line around a gap, over the input's range."""
 NOISES, MOST_NOISE = 4.0, 0.02
-"""The same over the noise of an input, and what that may be of its range at most."""
+"""This distance over the noise of an input, and its largest value over the input's range."""
 WITH_OUTPUTS, UNEVEN, REPEATED = 0.5, 3.0, 0.1
-"""An input has points where it changes, not samples, if it has one at fewer than this share of the
-outputs' times, and either its long steps are so many times its short ones (of the 95 and the 10 %
-quantile), or it is held and hardly ever repeats a value."""
+"""An input has points at its changes, and not samples, if two conditions hold. It has points at
+fewer than the first share of the outputs' times. The ratio of the 95 % to the 10 % quantile of its
+steps exceeds the second value, or it is held and repeats fewer than the third share of values."""
 
 LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
-"""Units that long gaps are given in too."""
+"""Additional units for long gaps."""
 
 Treatment = Literal["split", "left out", "bridged", "run through", "before"]
 
 
 @dataclass(frozen=True)
 class RecordGap:
-    """A gap of a record, and what became of it.
+    """A gap of a record, and its treatment.
 
     Attributes
     ----------
     record
         Id of the experiment.
     first, last
-        The last time before it and the first one behind it, in seconds.
+        The last time before the gap and the first time after it, in seconds.
     missing
-        What was not measured, as "input F"; "" for nothing at all.
+        What was not measured, such as "input F"; "" if nothing was measured.
     treatment
-        "split": what is behind it is an experiment of its own. "left out": it is not used.
-        "bridged": inputs are drawn through. "run through": the model may, as nothing moves.
-        "before": the record begins after it.
+        "split": the part after the gap is a separate experiment. "left out": this part is not used.
+        "bridged": inputs are interpolated. "run through": inputs are known in the gap. "before":
+        the record begins after the gap.
     moving
-        The inputs that may have moved in it.
+        The inputs that may have changed in the gap.
     why
-        What stands against splitting the record, or leads to what was done; may be "".
+        The reason for the treatment; may be "".
     """
 
     record: str
@@ -71,7 +71,7 @@ class RecordGap:
 
     @property
     def interval(self) -> str:
-        """Its length and times in words."""
+        """The length and the times of the gap as a text."""
         length = self.last - self.first
         long = next((f" ({length / s:.3g} {u})" for u, s in LONG_UNITS if length >= 2.0 * s), "")
         return f"{length:.6g} s{long}, from {self.first:.10g} to {self.last:.10g} s"
@@ -84,13 +84,13 @@ class InputGap:
     Attributes
     ----------
     first, last
-        As of `RecordGap`.
+        As in `RecordGap`.
     inputs
-        Which were not.
+        The inputs without measurements.
     moving
-        Those of them that may have moved.
+        The inputs that may have changed in the gap.
     whole
-        Whether nothing at all was measured in it.
+        Whether nothing was measured in the gap.
     """
 
     first: float
@@ -101,17 +101,17 @@ class InputGap:
 
     @property
     def missing(self) -> str:
-        """What was not measured, in words; "" for nothing at all."""
+        """What was not measured, as a text; "" if nothing was measured."""
         return "" if self.whole else named_signals("input", self.inputs)
 
 
 def named_signals(kind: str, names: Sequence[str]) -> str:
-    """Return "input F", or "inputs F and G"."""
+    """Return a text such as "input F" or "inputs F and G"."""
     return f"{kind}{'s' if len(names) > 1 else ''} {' and '.join(names)}"
 
 
 def long_steps(times: FloatArray) -> FloatArray:
-    """Return the gaps between samples, (gaps, 2): the times before and behind each."""
+    """Return the times before and after each gap between samples: (gaps, 2)."""
     steps = np.diff(times)
     if len(steps) < LEAST_STEPS:
         return np.zeros((0, 2))
@@ -122,21 +122,21 @@ def long_steps(times: FloatArray) -> FloatArray:
 
 
 def _stands_out(steps: FloatArray, i: int) -> bool:
-    """Return whether a step is long beside those near it, on either side."""
+    """Return whether a step is much longer than the nearby steps on both sides."""
     sides = steps[max(i - NEAR, 0) : i], steps[i + 1 : i + 1 + NEAR]
     near = max(float(np.median(side)) if len(side) else 0.0 for side in sides)
     return float(steps[i]) > STEPS_OF_GAP * near
 
 
 def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[InputGap]:
-    """Return the gaps of an experiment's inputs and signals, those that overlap as one.
+    """Return the gaps of an experiment's inputs and signals; overlapping gaps are joined.
 
     Parameters
     ----------
     experiment
-        As it was measured.
+        The measured experiment.
     holds
-        Whether an input of this name changes at events alone.
+        A function that returns whether an input with this name changes only at events.
     """
     found: list[tuple[float, float, str, bool]] = []
     for given in (*experiment.inputs, *experiment.signals):
@@ -158,20 +158,20 @@ def output_gaps(
     begin: float | None,
     stop: float | None,
 ) -> tuple[RecordGap, ...]:
-    """Return the gaps in which outputs alone were not measured, and one before a record begins.
+    """Return the gaps of outputs, and the gap before the start of a record.
 
     Parameters
     ----------
     record
         Id of the experiment.
     outputs
-        All samples of each.
+        Outputs with all of their samples.
     times
-        Of the rows.
+        Times of the rows.
     begin
-        Where the record begins; None where a user says it.
+        Start of the record; None if the user gives it.
     stop
-        Where it ends, if a user says it.
+        End of the record, if the user gives it.
     """
     found: dict[tuple[float, float], list[str]] = {}
     for output in outputs:
@@ -188,7 +188,7 @@ def output_gaps(
 
 
 def _is_noted_at_changes(given: Input, experiment: Experiment, *, held: bool) -> bool:
-    """Return whether an input has points only where it begins to take other values."""
+    """Return whether an input has points only at its changes; see `WITH_OUTPUTS`."""
     if len(given.times) <= LEAST_STEPS:
         return True
     measured = np.concatenate([np.zeros(0), *(output.times for output in experiment.outputs)])
@@ -200,7 +200,7 @@ def _is_noted_at_changes(given: Input, experiment: Experiment, *, held: bool) ->
 
 
 def _goes_on(given: Input, gap: tuple[float, float], *, held: bool) -> bool:
-    """Return whether an input goes on along a straight line before, in and behind a gap."""
+    """Return whether an input follows one straight line before and after a gap."""
     extent = float(np.ptp(given.values))
     if extent == 0.0:
         return True
@@ -220,14 +220,14 @@ def _goes_on(given: Input, gap: tuple[float, float], *, held: bool) -> bool:
 
 
 def _noise(values: FloatArray) -> float:
-    """The noise of an input by its second differences."""
+    """Return the noise of an input from its second differences."""
     return float(1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
 
 
 def _overlapping(
     found: Sequence[tuple[float, float, str, bool]],
 ) -> Iterator[list[tuple[float, float, str, bool]]]:
-    """Give gaps in groups of those that overlap."""
+    """Yield groups of overlapping gaps."""
     group: list[tuple[float, float, str, bool]] = []
     for each in found:
         if group and each[0] >= max(last for _, last, *_ in group):
@@ -249,7 +249,7 @@ def _joined(experiment: Experiment, group: Sequence[tuple[float, float, str, boo
 
 
 MOST_NAMED_GAPS, MOST_FINDINGS = 4, 12
-"""Gaps of a record that a sentence names, and sentences."""
+"""Largest number of gaps that a sentence names, and largest number of sentences."""
 EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     "split": (
         " may have changed there, so a new part begins after the gap; its initial states are "
@@ -264,11 +264,11 @@ EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     "before": ("the record begins after the gap", ""),
     "run through": ("the inputs are known in the gap, and the simulation continues through it", ""),
 }
-"""What became of gaps, and what changes it."""
+"""For each treatment, its effect and how to change it."""
 
 
 def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
-    """Return a sentence for the gaps of each record, what can be done, and what was."""
+    """Return a sentence, an advice and the treatment for the gaps of each record."""
     groups: dict[tuple[object, ...], list[RecordGap]] = {}
     for gap in gaps:
         same = gap.record, gap.treatment, gap.missing, gap.moving, gap.why
@@ -287,7 +287,7 @@ def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
 
 
 def _sentence(alike: Sequence[RecordGap]) -> str:
-    """Say which gaps a record has that were treated alike, and how."""
+    """Return a sentence on the gaps of a record with the same treatment."""
     gap, count = alike[0], len(alike)
     named = [each.interval for each in alike[:MOST_NAMED_GAPS]]
     more = f" and {count - MOST_NAMED_GAPS} more" if count > MOST_NAMED_GAPS else ""

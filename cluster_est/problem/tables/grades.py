@@ -1,4 +1,4 @@
-"""Words that stand in an order, such as low, medium and high, as their places in it."""
+"""Replaces ordered words, such as low, medium and high, by their positions in the order."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from workers.fmu.description import nearest
 def with_grades(
     columns: MeasuredColumns, variable: str, column: str, grades: Sequence[str]
 ) -> MeasuredColumns:
-    """Return columns with the words of one as their places among the grades, from 1 on.
+    """Replace the words in a column by their positions among the grades, which count from 1.
 
     Parameters
     ----------
     columns
-        Of the experiment's table.
+        Columns of the experiment's table.
     variable, column
-        The output that was measured, and its column.
+        The measured output, and its column.
     grades
         All words, the lowest first.
 
     Raises
     ------
     DataError
-        If a word is given twice or is none of the grades, or the column has no words.
+        If a grade is given twice, a word is not a grade, or the column has no words.
     """
     table, where = columns.table, f"{columns.where}.outputs.{variable}"
     repeated = [word for word, count in Counter(grades).items() if count > 1]
@@ -63,7 +63,7 @@ def with_grades(
             )
     numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
     graded = replace(table, columns={**table.columns, column: numbers})
-    return replace(columns, table=graded, missing=())  # words are no numbers of the file
+    return replace(columns, table=graded, missing=())  # `missing` is not about positions
 
 
 def _are_numbers(grades: Sequence[str]) -> bool:
@@ -71,6 +71,6 @@ def _are_numbers(grades: Sequence[str]) -> bool:
 
 
 def _as_words(cells: pa.ChunkedArray, grades: Sequence[str]) -> list[str | None]:
-    """Return numbers as the grades that they are."""
+    """Return numbers as words: the grades with these values."""
     words = {float(each): each for each in grades}
     return [None if n is None else words.get(float(n), f"{n:g}") for n in cells.to_pylist()]

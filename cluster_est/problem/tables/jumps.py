@@ -1,9 +1,9 @@
-"""Signals that jump: a switch, a set point, the output of a controller.
+"""Finds jumps in signals such as a switch, a set point or the output of a controller.
 
-Between jumps they keep their value, or move in small steps.
+Between jumps, these signals keep their value or change in small steps.
 
-Between two samples a straight line makes a ramp of such a jump, which begins up to a sampling
-interval too early. A fit calls that a delay or a lag.
+Linear interpolation turns a jump between two samples into a ramp, which begins up to a sampling
+interval too early. A fit may confuse this with a delay or a lag.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from workers.messages import Experiment, FloatArray, Input, Interpolation
 
 LEAST_SAMPLES_WITH_JUMPS = 10
 LEAST_REPEATED_SHARE = 0.5
-"""Least share of the samples that repeat the one before."""
+"""Least share of the samples that repeat the previous sample."""
 LEAST_ISOLATED_SHARE = 0.8
-"""Least share of the changes that stand alone, with samples that repeat before and after."""
+"""Least share of isolated changes, with repeated samples before and after."""
 LEAST_JUMP = 0.05
-"""Least median change, over the range of the signal: smaller ones are the steps of a converter."""
+"""Least median change, over the range of the signal; smaller changes are the steps of an A/D
+converter."""
 NEAR_STEPS = 3
-"""Steps to either side that a jump of a moving signal is compared with."""
+"""Number of steps on each side with which a jump of a moving signal is compared."""
 OVER_NEAR_STEPS = 6.0
-"""Least size of such a jump, in the largest of those."""
+"""Least size of such a jump, over the largest of these steps."""
 USUAL_STEPS, OVER_USUAL_STEPS = 0.75, 5.0
-"""A quantile of the sizes of all steps, and the least size of such a jump in it."""
+"""A quantile of the sizes of all steps, and the least size of such a jump over this quantile."""
 LEAST_JUMPS_WHILE_MOVING = 2
-"""A single one may be anything."""
+"""Least number of jumps of a moving signal; a single jump may have another cause."""
 SAMPLES_AFTER_JUMP = 3
-"""Samples from the jump of an input on, in which what is fast answers."""
+"""Number of samples from the jump of an input on in which a fast response occurs."""
 LEAST_NOISE_OF_RANGE = 0.01
-"""Share of a signal's range that its noise counts as at least where single samples are looked for
-that stand apart."""
+"""Least noise of a signal over its range, for the detection of isolated samples."""
 REGULAR = 0.1
-"""Largest range of the times between changes, over their median, of a staircase."""
+"""Largest range of the times between changes of a staircase, over their median."""
 
 
 def count_jumps(times: FloatArray, values: FloatArray) -> int:
-    """Return the number of jumps of a signal; 0 for one that has none.
+    """Return the number of jumps of a signal.
 
-    A ramp that a table gives two points of its own, closer than its other samples, is no jump.
+    A steep ramp between two points that are closer than the other samples is not a jump.
 
     Parameters
     ----------
     times, values : (n,)
-        Of its samples, in order.
+        Times and values of the samples, in the order of time.
     """
     return len(_jumps(times, values))
 
@@ -85,10 +85,11 @@ def _between_levels(values: FloatArray, wide: npt.NDArray[np.bool_]) -> npt.NDAr
 
 
 def _while_moving(values: FloatArray, wide: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-    """Return the jumps of a signal that moves in small steps between them.
+    """Return the jumps of a signal that changes in small steps between them.
 
-    Each is large beside all steps near it, to both sides, and beside most steps of the signal: the
-    one of a spike has another beside it, and those of noise are as large as their neighbours.
+    A jump is much larger than all nearby steps on both sides, and than most steps of the signal. A
+    spike consists of two large neighbouring steps, and steps of noise are as large as their
+    neighbours, so neither is a jump.
     """
     steps = np.abs(np.diff(values))
     extended = np.pad(steps, NEAR_STEPS, constant_values=0.0)
@@ -101,20 +102,20 @@ def _while_moving(values: FloatArray, wide: npt.NDArray[np.bool_]) -> npt.NDArra
     large &= wide & (steps > LEAST_JUMP * float(np.ptp(values)))
     large[:NEAR_STEPS] = large[-NEAR_STEPS:] = False
     found = np.flatnonzero(large)
-    moves = usual > 1e-9 * float(np.ptp(values))  # else it has levels, and was looked at before
+    moves = usual > 1e-9 * float(np.ptp(values))  # otherwise, the signal has levels
     return found if moves and len(found) >= LEAST_JUMPS_WHILE_MOVING else found[:0]
 
 
 def jump_times(given: Input) -> FloatArray:
-    """Return when an input that jumps begins to do so; none for others."""
+    """Return the times at which the jumps of an input begin."""
     jumps = _jumps(given.times, given.values)
     return given.times[jumps if given.interpolation == "linear" else jumps + 1]
 
 
 def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
-    """Return which samples of an output are just after a jump of an input.
+    """Return a mask of the samples of an output just after a jump of an input.
 
-    What answers at once and is gone within a sample or two looks like a fault of the sensor.
+    An immediate response that lasts one or two samples resembles a sensor fault.
     """
     times = next(each.times for each in experiment.outputs if each.variable == output)
     after = np.zeros(len(times), bool)
@@ -124,9 +125,9 @@ def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
 
 
 def answers_to_inputs(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
-    """Return which samples of an output are just after a jump or a single pulse of an input.
+    """Return a mask of the samples of an output just after a jump or a pulse of an input.
 
-    A peak that follows one, as of a flood after rain, is no fault of the sensor.
+    A peak after a jump or a pulse, such as a flood after rain, is not a sensor fault.
     """
     times = next(each.times for each in experiment.outputs if each.variable == output)
     after = after_jumps(experiment, output)
@@ -140,7 +141,7 @@ def answers_to_inputs(experiment: Experiment, output: str) -> npt.NDArray[np.boo
 def samples_after(
     times: FloatArray, events: FloatArray, *, before: int = 0, count: int = SAMPLES_AFTER_JUMP
 ) -> npt.NDArray[np.bool_]:
-    """Return which of some times are the first after events, or so many samples before them."""
+    """Return a mask of `count` times from each event on, and of `before` times before it."""
     after = np.zeros(len(times), bool)
     first = np.searchsorted(times, events)
     for late in range(-before, count):
@@ -149,15 +150,15 @@ def samples_after(
 
 
 def _changes(values: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return for each interval between two samples whether the signal changes in it."""
+    """Return a mask of the intervals between samples in which the signal changes."""
     return np.asarray(np.abs(np.diff(values)) > 1e-9 * float(np.ptp(values)))
 
 
 def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:
-    """Return whether a signal goes from level to level like a slow one that was rounded.
+    """Return whether a signal resembles a slow signal that was rounded.
 
-    Each change is to the next level, of three or more, and they come at no regular times, as those
-    of a staircase would.
+    It has three or more levels, each change leads to the next level, and the times between changes
+    are not regular. The changes of a staircase are regular.
     """
     levels = np.unique(values)
     if len(levels) <= 2:
@@ -169,7 +170,7 @@ def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:
 
 
 MOST_NAMED_RECORDS = 3
-"""Experiments that are named with their jumps; of more, those with the largest."""
+"""Largest number of experiments that a text names; those with the largest jumps are named."""
 
 
 @dataclass(frozen=True)
@@ -179,11 +180,11 @@ class JumpsOfRecord:
     Attributes
     ----------
     experiment
-        Its id.
+        Id of the experiment.
     count
-        Of the jumps.
+        Number of jumps.
     time, before, after
-        When the largest begins, in seconds, and from which value to which it goes.
+        Time of the largest jump in seconds, and the values before and after it.
     """
 
     experiment: str
@@ -194,7 +195,7 @@ class JumpsOfRecord:
 
     @property
     def sentence(self) -> str:
-        """Return how many there are, and where the largest is."""
+        """The number of jumps, and the time and size of the largest jump, as a text."""
         times = "once" if self.count == 1 else f"{self.count} times"
         largest = "" if self.count == 1 else ", by most"
         return (
@@ -206,7 +207,7 @@ class JumpsOfRecord:
 def jumping_inputs(
     experiments: Sequence[Experiment], holds: Callable[[str], bool]
 ) -> dict[str, tuple[JumpsOfRecord, ...]]:
-    """Return the inputs that jump and are interpolated by straight lines, with where they do."""
+    """Return the jumps of all inputs that jump but are interpolated linearly, by input."""
     found: dict[str, list[JumpsOfRecord]] = {}
     for run in experiments:
         for given in run.inputs:
@@ -227,17 +228,17 @@ def jump_findings(
     holds: Callable[[str], bool],
     columns: Mapping[str, str],
 ) -> tuple[tuple[str, str], ...]:
-    """Return what is wrong and what to do, for each input that jumps but is not held.
+    """Return a finding and an advice for each input that jumps but is not held.
 
     Parameters
     ----------
     experiments
-        Of a problem.
+        The experiments of a problem.
     holds
-        Whether an input of this name is held whatever its interpolation is, as the FMU says that it
-        changes at events alone.
+        A function that returns whether an input with this name is always held, because the FMU
+        declares that it changes only at events.
     columns
-        Of the table by key, as far as they are known: {"inputs.u": "force"}.
+        The known columns of the table by config key, such as {"inputs.u": "force"}.
     """
     return tuple(
         (
@@ -250,7 +251,7 @@ def jump_findings(
 
 
 def interpolated(variable: str, columns: Mapping[str, str], how: Interpolation) -> str:
-    """Return the key of a config that says how an input is interpolated."""
+    """Return the config line that sets the interpolation of an input."""
     column = columns.get(f"inputs.{variable}", "COLUMN")
     return f"{dotted('inputs', variable)} = {inline({'column': column, 'interpolation': how})}"
 
@@ -260,7 +261,7 @@ def _of_column(column: str) -> str:
 
 
 def _where(records: Sequence[JumpsOfRecord]) -> str:
-    """Name the experiments with the largest jumps."""
+    """Return a text on the experiments with the largest jumps."""
     largest = sorted(records, key=lambda each: -abs(each.after - each.before))
     named = ", ".join(each.sentence for each in largest[:MOST_NAMED_RECORDS])
     more = len(records) - MOST_NAMED_RECORDS

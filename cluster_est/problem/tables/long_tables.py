@@ -1,6 +1,6 @@
-"""Long tables, with a row for each value: a column says which signal it is, and another has it.
+"""Long tables with a row for each value: one column names the signal, another has the value.
 
-Databases and PEtab write them. Each signal becomes a column that has some of the rows.
+Databases and PEtab use this format. Each signal becomes a column with some of the rows.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from cluster_est.errors import DataError
 from cluster_est.problem.tables.measured_table import MeasuredTable
 
 NAME_COLUMNS = ("observableid", "signal", "channel", "variable", "_field", "quantity", "tag")
-"""Names of columns, in small letters, that say which signal a value is of."""
+"""Usual names of the column with the names of the signals, in lower case."""
 VALUE_COLUMNS = ("measurement", "value", "_value", "reading")
-"""Names of columns, in small letters, with the values."""
+"""Usual names of the column with the values, in lower case."""
 
 
 def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
@@ -22,14 +22,14 @@ def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
     Parameters
     ----------
     table
-        With a row for each value.
+        A table with a row for each value.
     names, values
-        The columns that name the signals, and that have their values.
+        The columns with the names and with the values of the signals.
 
     Raises
     ------
     DataError
-        If it has no such columns, or a signal is called as another column.
+        If there are no such columns, or a signal has the name of another column.
     """
     for name in (names, values):
         if name not in table.columns:
@@ -52,7 +52,7 @@ def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
 
 
 def long_columns(names: list[str]) -> tuple[str, str] | None:
-    """Return the columns with names and values of a table that is called like a long one."""
+    """Return the columns with names and values if column names are those of a long table."""
     found = [
         next((name for name in names if name.casefold() in known), "")
         for known in (NAME_COLUMNS, VALUE_COLUMNS)

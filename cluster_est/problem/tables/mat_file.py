@@ -1,8 +1,8 @@
-"""The contents of a MAT file of version 5, seen without SciPy.
+"""Reads the structure of MAT files of version 5 without SciPy.
 
-SciPy trusts the tags in such a file: where one is damaged, its compiled reader can take the process
-with it. So every tag of what it is to read is looked at before, and it is not asked for the rest.
-The format: "MAT-File Format", The MathWorks, 1999 and later, chapter 1.
+SciPy does not check the tags in such a file: a damaged tag may crash the process. So every tag is
+checked before SciPy reads the arrays, and SciPy reads nothing else. For the format, see "MAT-File
+Format", The MathWorks, 1999 and later, chapter 1.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ HEADER_BYTES = 128
 MATRIX, COMPRESSED = 14, 15
 NAME_TYPE, COMPRESSED_NAME_TYPE, DIMENSIONS_TYPE, FLAGS_TYPE = 1, 16, 5, 6
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
-"""Bytes of a number of each type."""
+"""Number of bytes of a number, by type."""
 NUMERIC = range(6, 16)
-"""Classes of arrays of numbers."""
+"""Classes of numeric arrays."""
 CLASSES = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse matrix"}
 STRUCTURE, OPAQUE = 2, 17
 VECTORS = "{short}_v = double({it}); save('vectors.mat', '{short}_v', '-v7')"
@@ -34,31 +34,31 @@ TYPED_IN_MATLAB = {
     "datetime": "{short}_s = posixtime({it}); save('vectors.mat', '{short}_s', '-v7')",
     "duration": "{short}_s = seconds({it}); save('vectors.mat', '{short}_s', '-v7')",
 }
-"""What makes a file that can be read of an object of a class."""
+"""MATLAB code that saves an object in a readable file, by class."""
 DEEPEST = 8
-"""Structures in structures that are looked into."""
+"""Deepest level of nested structures that is read."""
 MOST_ELEMENTS = 100
-"""Structures of an array of them that are looked into."""
+"""Largest array of structures that is read."""
 LONGEST_FIELD_NAME = 1024
 MOST_NAMED_FIELDS = 12
 COMPLEX = 0x0800
 MOST_VARIABLE_BYTES = 2**31
-"""Bytes of one variable, unpacked."""
+"""Largest size of an unpacked variable in bytes."""
 
 
 @dataclass(frozen=True)
 class MatContents:
-    """What is in a file.
+    """The contents of a file.
 
     Attributes
     ----------
     numbers
-        Names of the arrays of numbers.
+        Names of the numeric arrays.
     others
-        What the other variables are, by name.
+        Descriptions of the other variables, by name.
     fields
-        A file of its own with the arrays of numbers in structures, called as MATLAB does:
-        "log.time". Empty without any.
+        A separate MAT file with the numeric arrays in structures, which are named as in MATLAB:
+        "log.time". Empty if there are none.
     """
 
     numbers: tuple[str, ...]
@@ -68,16 +68,16 @@ class MatContents:
 
 @dataclass(frozen=True)
 class _Variable:
-    """A variable, or a field of one.
+    """A variable, or a field of a variable.
 
     Attributes
     ----------
     name
-        With those of the structures that it is in.
+        Name, including the names of the structures that contain it.
     what
-        What it is if it is no array of numbers.
+        Description, if it is not a numeric array.
     matrix
-        Of a field with numbers: the same as a variable.
+        For a numeric field: its bytes as a variable.
     """
 
     name: str
@@ -86,7 +86,7 @@ class _Variable:
 
 
 def contents(file: bytes) -> MatContents | None:
-    """Look at every variable; None if the file is of no version that has tags.
+    """Return the contents of a file; None if the file's version has no tags.
 
     Raises
     ------
@@ -129,16 +129,16 @@ def contents(file: bytes) -> MatContents | None:
 def _variables(
     body: bytes, order: str, inside: str = "", own: str = "", depth: int = 0
 ) -> Iterator[_Variable]:
-    """Yield a variable, and the fields of one that is a structure.
+    """Yield a variable, and the fields of a structure.
 
     Parameters
     ----------
     body
-        Of the variable.
+        Bytes of the variable.
     order
-        Of its bytes.
+        Byte order.
     inside, own, depth
-        Of a field: the name of its structure with a point, its own, and how deep it stands.
+        For a field: the name of its structure with a point, its own name, and its level.
     """
     at, flags = _element(body, 0, order, (FLAGS_TYPE,))
     (first,) = _unpack(f"{order}I", flags, 0)
@@ -169,9 +169,9 @@ def _variables(
 
 
 def _object(body: bytes, at: int, order: str, inside: str, own: str) -> _Variable:
-    """Return an object of a class of MATLAB's, whose values stand in an undocumented form."""
+    """Return an object of a MATLAB class, whose values have an undocumented format."""
     texts = []
-    for _ in range(3):  # its name, the system of its class, and its class
+    for _ in range(3):  # name, type system and class
         at, text = _element(body, at, order, (NAME_TYPE, COMPRESSED_NAME_TYPE))
         texts.append(text.decode("latin-1"))
     name, _, kind = texts
@@ -180,9 +180,9 @@ def _object(body: bytes, at: int, order: str, inside: str, own: str) -> _Variabl
 
 
 def object_of_matlab(name: str, kind: str) -> str:
-    """Return what an object of a class of MATLAB's is, and what to type there to save its numbers.
+    """Return a description of an object of a MATLAB class, with code to save its numbers.
 
-    Its values stand in the file in an undocumented form.
+    The file format of its values is undocumented.
     """
     short = name.rpartition(".")[2]
     typed = TYPED_IN_MATLAB.get(kind, VECTORS).replace("{it}", name).replace("{short}", short)
@@ -195,7 +195,7 @@ def object_of_matlab(name: str, kind: str) -> str:
 def _structure(
     body: bytes, at: int, order: str, whole: str, place: tuple[int, tuple[int, ...]]
 ) -> Iterator[_Variable]:
-    """Yield a structure and its fields; of an array of structures those of each, from 0 on."""
+    """Yield a structure and its fields; elements of an array of structures count from 0."""
     depth, shape = place
     count = math.prod(shape)
     at, length = _element(body, at, order, (5,), 1)
@@ -215,14 +215,14 @@ def _structure(
         kind, size = _unpack(f"{order}II", body, at)
         if kind != MATRIX or at + 8 + size > len(body):
             raise ValueError(f"a tag says {size} bytes of kind {kind}")
-        if size:  # an empty one may have nothing but a tag
+        if size:  # an empty field may have only a tag
             inner = body[at + 8 : at + 8 + size]
             yield from _variables(inner, order, f"{element}.", name, depth + 1)
         at += 8 + size
 
 
 def _named(before: bytes, name: str, data: bytes, order: str) -> bytes:
-    """Return a matrix as a variable with a name."""
+    """Return a matrix as a variable with this name."""
     text = name.encode("latin-1")
     named = struct.pack(f"{order}II", NAME_TYPE, len(text)) + text + bytes(-len(text) % 8)
     body = before + named + data
@@ -234,7 +234,7 @@ def _element(
 ) -> tuple[int, bytes]:
     """Return the position after an element, and its data, if its kind and size are right."""
     (kind,) = _unpack(f"{order}I", body, at)
-    if kind >> 16:  # a small one: kind, size and data in eight bytes
+    if kind >> 16:  # a small element: kind, size and data in eight bytes
         kind, size, begin, end = kind & 0xFFFF, kind >> 16, at + 4, at + 8
         short = size > 4
     else:

@@ -32,7 +32,7 @@ SAME_TIME = 1e-9
 class ColumnChange:
     """A change of unit and times: column * factor + offset; `demean` first removes the mean.
 
-    `late` is the delay of a column: it was measured by so many seconds earlier than its times say.
+    `late` is the delay of a column in seconds: it was measured earlier than its times by `late`.
     """
 
     factor: float = 1.0

@@ -1,4 +1,4 @@
-"""A measured table: named columns, each as it is in its file, and how they become numbers."""
+"""Measured tables: named columns as in the file, and their conversion to numbers."""
 
 from __future__ import annotations
 
@@ -27,28 +27,29 @@ from workers.messages import FloatArray
 from workers.messages.types import by_content
 
 MOST_NAMED_COLUMNS = 30
-"""Columns that a message names."""
+"""Largest number of columns that a message names."""
 Column: TypeAlias = "pa.ChunkedArray | FloatArray"
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a user says of how a file is to be read, where it does not tell.
+    """The user's options for reading a file.
 
     Attributes
     ----------
     encoding
-        Of a text file; empty: its mark, or UTF-8, or a guess that is said.
+        Encoding of a text file. Empty: by its byte order mark, else UTF-8 or a guess with a note.
     skip_rows
-        Lines of a text file before its header; None: found.
+        Number of lines of a text file before its header; None: determined from the file.
     decimal
-        The sign before decimals, "." or ","; the other one then separates thousands. Empty: found.
+        Decimal separator, "." or ","; the other sign then separates thousands. Empty: determined
+        from the file.
     sheet
-        The sheet of a workbook, or the experiment of an FMU; empty: its only one.
+        The sheet of a workbook, or the experiment of an FMU; empty if there is only one.
     time_format
-        Of times as text, such as "%d/%m/%Y %H:%M:%S"; empty: found.
+        Format of times as text, such as "%d/%m/%Y %H:%M:%S"; empty: determined from the file.
     time_zone
-        Of times without one, such as "Europe/Berlin"; empty: clocks are not put forward.
+        Time zone of times without a zone, such as "Europe/Berlin"; empty: no daylight saving time.
     long
         (column of names, column of values) of a table with a row for each value; None for others.
     """
@@ -65,40 +66,40 @@ class Reading:
 @by_content
 @dataclass(frozen=True)
 class MeasuredTable:
-    """A measured file, its columns still as they are in the file.
+    """A measured file with its columns as in the file.
 
     Attributes
     ----------
     path
-        The file that it came from, or a name for it, for messages.
+        Path of the file, or another name for messages.
     columns
         Arrow arrays or NumPy arrays by name.
     unusable
-        Why a column that the file has cannot be used, by name.
+        For each unusable column, the reason.
     decimal
-        The sign before decimals in its texts, "." or ","; "" where they do not tell, and ";" where
-        they do not and points too may separate thousands.
+        Decimal separator of the file's texts, "." or ",". "" if it is unknown, and ";" if in
+        addition points may be thousands separators.
     units
-        Of columns that the file says in another place than in their names.
+        Units of columns that the file gives outside of the column names.
     clocks
-        The column with the times of another one, where the file says so.
+        For each column with own times in the file, the column with these times.
     notes
-        What was found out about the file, a sentence each.
+        Sentences on how the file was read.
     found
-        Keys of `Reading` that would say what was found, or guessed.
+        Options of `Reading` that state what was determined or guessed.
     reading
-        What the user said of it.
+        The user's options.
     lines
-        Rows of the file, from 1 and as an editor shows them, of all rows of the table; None where
-        they are counted through.
+        Line numbers of all rows of the table, as in an editor; None if rows are counted from 1.
     rows
-        The rows of the columns that it has; None for all.
+        The used rows of the columns; None for all.
     long_values, signals
-        Of a table with a row for each value: the column of the values, and the rows of each signal.
+        For a table with a row for each value: the column of the values, and the rows of each
+        signal.
     parsed
-        Columns of numbers that were parsed before, of all rows.
+        Numeric columns that were already parsed, with all rows.
     stamps
-        Likewise those of timestamps.
+        Likewise columns with timestamps.
     """
 
     path: Path | str
@@ -118,12 +119,12 @@ class MeasuredTable:
     stamps: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def numbers(self, name: str, where: str) -> FloatArray:
-        """A column as floats, NaN where nothing was measured.
+        """Return a column as floats; NaN for missing measurements.
 
         Raises
         ------
         DataError
-            If there is no such column, or if something in it is not a number.
+            If there is no such column, or a cell is not a number.
         """
         rows = self.rows_of(name)
         if rows is not None:
@@ -134,7 +135,7 @@ class MeasuredTable:
         return self._parsed(self.resolved(name), column, where)
 
     def all_numbers(self, name: str, where: str) -> FloatArray:
-        """A column as floats, of all rows of the file, parsed once for all tests and signals."""
+        """Return all rows of a column as floats; they are parsed once for all tests and signals."""
         column, name = self.column(name, where), self.resolved(name)
         if isinstance(column, np.ndarray):
             return column
@@ -144,19 +145,19 @@ class MeasuredTable:
         return self.parsed[key]
 
     def rows_of(self, name: str) -> npt.NDArray[np.int64] | None:
-        """The rows of the file in which a column counts; None for all."""
+        """Return the used rows of a column; None for all rows of the file."""
         own = self.signals.get(self.resolved(name))
         if own is None or self.rows is None:
             return self.rows if own is None else own
         return np.intersect1d(own, self.rows, assume_unique=True)
 
     def column(self, name: str, where: str) -> Column:
-        """A column as it is in the file, of all rows.
+        """Return all rows of a column as in the file.
 
         Raises
         ------
         DataError
-            If there is no such column, or several that fit a pattern.
+            If there is no such column, or several columns match a pattern.
         """
         name = self.resolved(name, where)
         if name in self.unusable:
@@ -169,7 +170,7 @@ class MeasuredTable:
         return column
 
     def resolved(self, name: str, where: str = "") -> str:
-        """The column that a pattern with * means; any other name is returned as it is."""
+        """Return the column that matches a pattern with *; return any other name unchanged."""
         if "*" not in name or name in self.columns or name in self.unusable:
             return name
         start, *middle, end = name.split("*")
@@ -202,7 +203,7 @@ class MeasuredTable:
         return as_numbers(column)
 
     def without(self, name: str) -> str:
-        """The sentence on a column that the table does not have: the nearest one, and all."""
+        """Return an error message on a missing column, with the nearest name and all columns."""
         names = [*self.columns]
         found = nearest(name, names)
         fields = [each for each in names if each.endswith(f".{name}")]
@@ -217,23 +218,23 @@ class MeasuredTable:
         return f"{self.path} has no column {name!r}{ending}"
 
     def row(self, index: int, column: str = "") -> int:
-        """The row of the file, as an editor shows it, that a value of a column is from."""
+        """Return the line number of a value of a column, as in an editor."""
         rows = self.rows_of(column)
         return self.line(index if rows is None else int(rows[index]))
 
     def line(self, index: int) -> int:
-        """The same of all rows of the file."""
+        """Return the line number of a row, counted over all rows of the file."""
         return index + 1 if self.lines is None else self.lines.number(index)
 
     def part(self, column: str, value: str, where: str) -> MeasuredTable:
-        """The rows of one test of several.
+        """Return the table with only the rows of one of several tests.
 
         Parameters
         ----------
         column, value
-            The column that tells them apart, and its value.
+            The column that distinguishes the tests, and its value for this test.
         where
-            Opens each message.
+            Start of each message.
 
         Raises
         ------
@@ -249,7 +250,7 @@ class MeasuredTable:
         return replace(self, rows=groups[value])
 
     def tests(self, column: str, where: str) -> dict[str, npt.NDArray[np.int64]]:
-        """The rows of each value of a column, in the order in which they begin.
+        """Return the rows of each value of a column, in the order of their first rows.
 
         Raises
         ------
@@ -277,19 +278,19 @@ class MeasuredTable:
 
 
 class UndecidedError(DataError):
-    """A column may be read in several ways, and the user has to say in which."""
+    """Raised if a column can be read in several ways, so that the user must choose one."""
 
 
 class LineNumbers(ABC):
-    """Says which lines of a text file its rows are, when a message asks for one."""
+    """Line numbers of the rows of a text file, which are computed when a message needs them."""
 
     @abstractmethod
     def number(self, index: int) -> int:
-        """The line, from 1, of the row at an index."""
+        """Return the line number, counted from 1, of the row at an index."""
 
 
 def _fits(name: str, start: str, middle: Sequence[str], end: str) -> bool:
-    """Return whether a name has the parts of a pattern in their order."""
+    """Return whether a name contains the parts of a pattern in order."""
     if len(name) < len(start) + len(end) or not (name.startswith(start) and name.endswith(end)):
         return False
     inside, at = name[len(start) : len(name) - len(end)], 0
@@ -302,24 +303,24 @@ def _fits(name: str, start: str, middle: Sequence[str], end: str) -> bool:
 
 
 def _label(value: object) -> str:
-    """Return a cell that names a test: 3 for 3.0, too."""
+    """Return a cell as the name of a test; 3.0 gives "3"."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value).strip()
 
 
 def repeated(count: int) -> str:
-    """The reason why a column that is there several times cannot be used."""
+    """Return the reason why a column whose name is repeated cannot be used."""
     return f"must occur once, but {count} columns have that name; rename them"
 
 
 def once(pairs: Sequence[tuple[str, Column]]) -> tuple[dict[str, Column], dict[str, str]]:
-    """Columns by name, without the blanks that some programs put around names.
+    """Return columns by name, without blanks around the names.
 
     Returns
     -------
     columns, unusable
-        The columns that have a name of their own; why the others cannot be used.
+        The columns with unique names, and the reasons why the others cannot be used.
     """
     named = [(name.strip(), column) for name, column in pairs]
     counts = Counter(name for name, _ in named)
@@ -328,7 +329,7 @@ def once(pairs: Sequence[tuple[str, Column]]) -> tuple[dict[str, Column], dict[s
 
 
 def named_columns(path: Path | str, table: pa.Table) -> MeasuredTable:
-    """A table of Arrow as a measured table."""
+    """Return an Arrow table as a measured table."""
     return MeasuredTable(path, *once(list(_columns(table))))
 
 

@@ -89,9 +89,9 @@ def stand_ins(values: FloatArray) -> tuple[StandIn, ...]:
     """Return the numbers of a column that probably mark missing measurements, the least first.
 
     A code (`NINES`, numbers above `HUGE`, `INTEGER_LIMITS`) is one if it is farther from all other
-    values than their own range. Any other number is one if it is the least or the largest value, is
-    equally far away, occurs at least three times and each time only for a few samples, and if there
-    are many different other values. A limit that the signal reaches without a gap (sensor
+    values than their own range. Any other number must be the least or the largest value, and as
+    far away. It must occur at least three times, each time only for a few samples, and there must
+    be many different other values. A limit that the signal reaches without a gap (sensor
     saturation) and a level of a switch are never such numbers.
 
     Parameters
@@ -196,7 +196,7 @@ def of_experiment(experiment: Experiment) -> tuple[FoundStandIn, ...]:
 def stand_in_findings(
     found: Sequence[FoundStandIn], missing: Sequence[float] = ()
 ) -> tuple[tuple[str, str], ...]:
-    """Say which numbers probably mark missing measurements, and how to leave them out.
+    """Return texts on numbers that probably mark missing measurements, with advice.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Times that are no numbers: dates and times of day, as text or as Arrow's own types.
+"""Reads dates and times of day, as text or in Arrow's types for times.
 
-A format is a pattern with named parts. All rows must fit one, with days and months that there are;
-where two of them fit (01/02/2024) and the seconds between rows differ, the user has to say which.
+A format is a pattern with named parts. All rows must fit one format, with valid days and months. If
+two formats fit (01/02/2024) and give different seconds between rows, the user must choose one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ HOUR, DAY = 3600 * SECOND, 86400 * SECOND
 _SECONDS: Final = r":(?P<S>\d{2})(?:[.,](?P<f>\d{1,12})|:(?P<k>\d{3}))?"
 _HALF: Final = r"(?: ?(?P<p>[AaPp]\.?[Mm]\.?))?"
 _DAY: Final = r"(?:[A-Za-z]{2,9}[.,]* )?"
-"""The name of a day of the week, which says nothing."""
+"""The name of a day of the week, which is ignored."""
 _CLOCK: Final = rf"(?P<H>\d{{1,3}}):(?P<M>\d{{2}})(?:{_SECONDS})?{_HALF}"
 _ZONE: Final = r"(?: ?(?P<z>Z|UTC|GMT|CES?T|MES?Z|[+-]\d{2}(?::?\d{2})?))?"
 _DATES: Final = {
@@ -74,7 +74,7 @@ _PARTS: Final = {
     "%p": r"(?P<p>[AaPp][Mm])", "%z": r"(?P<z>Z|[+-]\d{2}(?::?\d{2})?)",
     "%S": r"(?P<S>\d{1,2})(?:[.,](?P<f>\d{1,12}))?", "%%": "%",
 }  # fmt: skip
-"""Parts of a format that a user gives; "%S" may have decimals."""
+"""Patterns for the parts of a user's format; "%S" may have decimals."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,15 @@ class Stamps:
     Attributes
     ----------
     ns : (n,)
-        Nanoseconds: since 1970 of instants and dates, since midnight of clocks, or elapsed.
+        Nanoseconds: since 1970 for instants and dates, since midnight for clocks, or elapsed.
     kind
-        Which of these.
+        The kind of these times.
     known : (n,)
         Whether a row has a time.
     aware
-        Whether the time is universal, as the zone is known.
+        Whether the times are universal times, because the zone is known.
     said
-        How they were read, for a sentence.
+        How the times were read, as part of a sentence.
     """
 
     ns: Nanoseconds
@@ -103,12 +103,12 @@ class Stamps:
 
 
 class StampError(ValueError):
-    """Times that cannot be read.
+    """Raised for times that cannot be read.
 
     Attributes
     ----------
     index
-        The first row; None if it is none alone.
+        The first row that cannot be read; None if the error does not concern a single row.
     """
 
     def __init__(self, said: str, index: int | None = None) -> None:
@@ -117,12 +117,12 @@ class StampError(ValueError):
 
 
 def read_stamps(column: Column, reading: Reading) -> Stamps | None:
-    """Read a column as times; None if it is one of numbers, or is anything else.
+    """Read a column as times; None if it contains no dates, times of day or durations.
 
     Raises
     ------
     StampError
-        If it has times that cannot be told, or no format fits all of them.
+        If the times are ambiguous, or no format fits all of them.
     """
     if isinstance(column, np.ndarray):
         return None
@@ -154,7 +154,7 @@ def _with(
 
 
 def added(date: Stamps, clock: Stamps) -> Stamps:
-    """Return the instants that a column of dates and one of times of day say together."""
+    """Return the instants given by a column of dates and a column of times of day."""
     if date.kind == "clock":
         date, clock = clock, date
     if (date.kind, clock.kind) not in (("date", "clock"), ("instant", "clock")):
@@ -164,12 +164,12 @@ def added(date: Stamps, clock: Stamps) -> Stamps:
 
 
 def finished(stamps: Stamps, reading: Reading) -> Stamps:
-    """Return times that increase from day to day and in universal time.
+    """Return times that increase past midnight, and universal times if the zone is known.
 
     Raises
     ------
     StampError
-        If clocks may have been put forward or back, and the zone is not known.
+        If daylight saving time may have begun or ended, and the zone is not known.
     """
     if stamps.kind == "clock":
         return _over_midnight(stamps)
@@ -183,7 +183,7 @@ def finished(stamps: Stamps, reading: Reading) -> Stamps:
 
 
 def _from_text(column: pa.ChunkedArray, reading: Reading) -> Stamps | None:
-    """Read text, some rows at a time: their parts take many times the memory of the times."""
+    """Read text in blocks of rows, because its parts need much more memory than the times."""
     parts = [column.slice(at, ROWS_AT_ONCE) for at in range(0, len(column), ROWS_AT_ONCE)]
     first = next((cell for part in parts if (cell := _first(part)) is not None), None)
     if first is None:
@@ -208,7 +208,7 @@ def _from_text(column: pa.ChunkedArray, reading: Reading) -> Stamps | None:
 
 
 def _first(column: pa.ChunkedArray) -> str | None:
-    """Return the first cell of a column that is not empty."""
+    """Return the first cell of a column with a value."""
     cells = trimmed_cells(column).drop_null()
     return str(cells[0].as_py()) if len(cells) else None
 
@@ -230,7 +230,7 @@ def _joined(parts: Sequence[pa.ChunkedArray], pattern: str) -> tuple[Stamps | No
 
 
 def _told(good: Sequence[tuple[str, Stamps]]) -> Stamps:
-    """Return the only reading of times, or one of several that give the same seconds."""
+    """Return the times if all fitting formats give the same seconds between rows."""
     name, first = good[0]
     others = [(n, s) for n, s in good[1:] if not _same_seconds(first, s)]
     if others:
@@ -248,9 +248,9 @@ def _same_seconds(one: Stamps, other: Stamps) -> bool:
 
 
 def _patterns() -> Iterator[tuple[str, str]]:
-    """Yield the known formats, the parts after a date optional."""
+    """Yield the names and patterns of the known formats."""
     for name, date in _DATES.items():
-        if name != "%Y%m%d":  # it may be a number
+        if name != "%Y%m%d":  # such a date may be a number
             yield name, date
         yield f"{name} %H:%M:%S", rf"\[?{_DAY}{date}(?:T|,? +|_){_CLOCK}{_ZONE}\]?"
     yield "%b %d %H:%M:%S %Y", rf"{_DAY}{_MONTH_AND_DAY} +{_CLOCK} (?P<Y>\d{{4}})"
@@ -262,7 +262,7 @@ def _patterns() -> Iterator[tuple[str, str]]:
 
 
 def _pattern_of(given: str) -> str:
-    """Return the pattern of a format that a user gives."""
+    """Return the pattern of a user's format."""
     parts = re.split(r"(%.)", given)
     seen: set[str] = set()
     found = []
@@ -327,7 +327,7 @@ def _parsed(cells: pa.ChunkedArray, pattern: str) -> tuple[Stamps | None, int | 
 
 
 def _kind(there: Set[str]) -> Kind:
-    """Return what the parts of a format say."""
+    """Return the kind of times that a format with these parts describes."""
     if "D" in there:
         return "elapsed"
     if not there & _OF_DATES:
@@ -338,7 +338,7 @@ def _kind(there: Set[str]) -> Kind:
 def _days(
     year: Nanoseconds, month: Nanoseconds, day: Nanoseconds
 ) -> tuple[Nanoseconds, npt.NDArray[np.bool_]]:
-    """Return days since 1970, and whether there are such dates."""
+    """Return days since 1970, and a mask of valid dates."""
     valid = (month >= 1) & (month <= 12) & (day >= 1) & (year >= 1678) & (year <= 2261)
     months = np.where(valid, (year - 1970) * 12 + month - 1, 0)
     first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
@@ -355,7 +355,7 @@ def _months(names: pa.ChunkedArray) -> Nanoseconds:
 def _of_halves(
     hour: Nanoseconds, half: pa.ChunkedArray
 ) -> tuple[Nanoseconds, npt.NDArray[np.bool_]]:
-    """Return hours of the day from those before and after noon."""
+    """Return 24-hour values from 12-hour values with AM or PM, and a mask of valid hours."""
     letter = np.asarray(pc.utf8_slice_codeunits(pc.utf8_lower(half), 0, 1).to_numpy(), str)
     given = letter != ""
     whole = hour % 12 + np.where(letter == "p", 12, 0)
@@ -363,7 +363,7 @@ def _of_halves(
 
 
 def _offsets(zones: pa.ChunkedArray) -> tuple[Any, bool | None]:
-    """Return nanoseconds ahead of universal time; aware is None where some have no zone."""
+    """Return nanoseconds ahead of universal time, and `aware`; None if some rows lack a zone."""
     codes = zones.combine_chunks().dictionary_encode()
     names = codes.dictionary.to_pylist()
     if "" in names and len(names) > 1:
@@ -381,7 +381,7 @@ def _ahead(zone: str) -> int:
 
 
 def _over_midnight(stamps: Stamps) -> Stamps:
-    """Return times of day that go on after midnight."""
+    """Return times of day that continue to increase after midnight."""
     known = stamps.ns[stamps.known]
     nights = np.concatenate([[0], np.cumsum(np.diff(known) < -DAY // 2)])
     if not len(known) or not nights[-1]:
@@ -404,7 +404,7 @@ def _zone(name: str) -> ZoneInfo:
 
 
 def _universal(ns: Nanoseconds, zone: ZoneInfo) -> Nanoseconds:
-    """Return universal times from those of a zone; of an hour that comes twice in their order."""
+    """Return universal times from local times; a repeated hour is resolved by the order of rows."""
     hours, place = np.unique(ns // (HOUR // 4), return_inverse=True)
     quarter = HOUR // 4
     early, late = (_ahead_of(hours * quarter, zone, fold) for fold in (0, 1))
@@ -437,7 +437,7 @@ def _ahead_of(local: Nanoseconds, zone: ZoneInfo, fold: int) -> Nanoseconds:
 
 
 def _refuse_changed_clocks(stamps: Stamps) -> None:
-    """Refuse local times that go back, or forward by an hour at night, as summer time does."""
+    """Refuse local times with steps as at the begin or end of daylight saving time."""
     ns = stamps.ns[stamps.known]
     steps = np.diff(ns)
     if not len(steps):

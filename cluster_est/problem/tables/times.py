@@ -1,8 +1,8 @@
-"""The times of a table's rows in seconds: numbers, timestamps, and seconds since 1970.
+"""Reads the times of a table's rows in seconds: numbers, timestamps, and times since 1970.
 
-Numbers are seconds as they are, unless they are as large as times since 1970 are, in seconds,
-milliseconds, microseconds or nanoseconds: no run lasts for thirty years. These, and timestamps,
-count from the first row that is used.
+Numbers are seconds, unless they are in the range of times since 1970 in seconds, milliseconds,
+microseconds or nanoseconds. No run lasts for thirty years. Times since 1970 and timestamps count
+from the first used row.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from cluster_est.toml import dotted
 from workers.messages import FloatArray
 
 JOINT: Final = " + "
-"""Between the names of a column of dates and one of times of day."""
+"""Separator between the names of a column of dates and a column of times of day."""
 FIRST_EPOCH, LAST_EPOCH = 946_684_800.0, 4_102_444_800.0
 """Seconds since 1970 at the beginning of 2000 and of 2100."""
 EPOCH_UNITS: Final = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 FIRST_TICK, LAST_TICK = 1.25911584e17, 1.57469184e17
-"""Ticks of 100 ns since 1601 at the beginning of 2000 and of 2100, as Windows counts them; as
-nanoseconds they are times of the years 1973 and 1974."""
+"""Windows ticks of 100 ns since 1601 at the beginning of 2000 and of 2100. The same numbers as
+nanoseconds since 1970 are times in 1973 and 1974."""
 DAYS: Final = ((36526.0, 73051.0), (730486.0, 767011.0))
-"""Days at the beginning of 2000 and of 2100, as Excel and as MATLAB counts them."""
+"""Day numbers of Excel and of MATLAB at the beginning of 2000 and of 2100."""
 Rows = npt.NDArray[np.int64] | None
 
 
@@ -46,12 +46,12 @@ class TableTimes:
     Attributes
     ----------
     seconds : (n,)
-        NaN where a row has no time.
+        Times in seconds; NaN for rows without a time.
     origin
-        The time from which they count, nanoseconds of timestamps or a number of the file; None
-        where they are the file's numbers.
+        The time from which they count: nanoseconds for timestamps, or a number of the file. None
+        for numbers that are used as in the file.
     said
-        How they were read, where they are not the file's numbers; else "".
+        How the times were read; "" for numbers that are used as in the file.
     """
 
     seconds: FloatArray
@@ -76,23 +76,23 @@ def read_times(
     table, column
         The column, or "DATE + CLOCK" for two columns.
     rows
-        Which of its rows; None for all.
+        The used rows; None for all.
     where
-        Opens each message.
+        Start of each message.
     factor, offset
-        Of numbers, as the user says; a factor of None is 1, unless that must be said.
+        The user's factor and offset for numbers. A factor of None means that none is given.
     since
-        Times of other rows, from whose origin these count.
+        Other times with the same origin.
 
     Raises
     ------
     DataError
-        If it has no times, or may be read in several ways.
+        If the column has no times, or can be read in several ways.
     """
     at = f"{where}: {table.path}, column {column!r}"
     stamps: Stamps | None = None
     try:
-        if column not in table.stamps:  # those of all rows are read once for all tests
+        if column not in table.stamps:  # all rows are read once for all tests
             table.stamps[column] = _stamps(table, column, where)
         stamps = table.stamps[column]
         if stamps is not None:
@@ -141,7 +141,7 @@ def _said(column: str, stamps: Stamps, origin: int) -> str:
 
 
 def _stamps(table: MeasuredTable, column: str, where: str) -> Stamps | None:
-    """Return the timestamps of a column or of two; None if it has numbers."""
+    """Return the timestamps of a column or of two joined columns; None for numbers."""
     if JOINT in column and column not in table.columns:
         date, clock = (
             read_stamps(table.column(name, where), table.reading) for name in column.split(JOINT, 1)
@@ -202,9 +202,9 @@ def _of_numbers(
 
 
 def _are_days(values: FloatArray) -> bool:
-    """Return whether numbers are dates as days, of which steps of milliseconds are no round part.
+    """Return whether numbers are dates in days.
 
-    Seconds since midnight may be as large, but their steps are whole microseconds.
+    Seconds may also be in this range, but their mean step is then a whole number of microseconds.
     """
     known = values[np.isfinite(values)]
     if len(known) < 2 or not any(low <= known[0] and known[-1] < high for low, high in DAYS):
@@ -215,13 +215,13 @@ def _are_days(values: FloatArray) -> bool:
 
 
 def _are_ticks(values: FloatArray) -> bool:
-    """Return whether numbers are what Windows counts of time."""
+    """Return whether numbers are Windows ticks."""
     known = values[np.isfinite(values)]
     return bool(len(known) and known.min() >= FIRST_TICK and known.max() < LAST_TICK)
 
 
 def _epoch_unit(values: FloatArray, factor: float) -> str:
-    """Return the unit of times since 1970; "" of other numbers."""
+    """Return the unit of times since 1970; "" for other numbers."""
     known = values[np.isfinite(values)]
     if not len(known):
         return ""

@@ -1,7 +1,7 @@
-"""Units by their usual spellings, and conversions between them.
+"""Units of measured columns in their usual notations, and conversions between them.
 
-Only those that measured columns come in: pint, for one, converts 1 Hz to 9.55 rpm and an angle to a
-number, and would read inches at the end of a column's name `T_in`.
+The list is limited on purpose. pint converts 1 Hz to 9.55 rpm and an angle to a number, and it
+would read the end of a column's name such as `T_in` as inches.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ UNIT_SUFFIXES = {
     "hours": "h", "radps": "rad/s", "degps": "deg/s", "mps": "m/s", "kmh": "km/h", "kph": "km/h",
     "lpm": "l/min", "percent": "%", "pct": "%",
 }  # fmt: skip
-"""Units at the end of a column's name, as they are written where no signs can be."""
+"""Units at the end of a column's name, where special characters are not possible."""
 
 
 @dataclass(frozen=True)
 class UnitConversion:
-    """`factor` times the number, plus `offset`, is the number in the other unit."""
+    """A conversion to another unit: number * factor + offset."""
 
     factor: float
     offset: float = 0.0
@@ -40,12 +40,12 @@ class UnitConversion:
 
 @dataclass(frozen=True)
 class _Unit:
-    """A number in base units is `factor` times the number, plus `offset`.
+    """A unit; number * factor + offset is the number in base units.
 
     Attributes
     ----------
     powers
-        The base units with their powers, in the order of their names.
+        The base units with their powers, sorted by name.
     """
 
     powers: tuple[tuple[str, int], ...]
@@ -53,12 +53,12 @@ class _Unit:
     offset: float = 0.0
 
     def to(self, power: int) -> _Unit:
-        """A power of it; without its offset, as in W/K or K/min."""
+        """Return a power of the unit, without its offset, as in W/K or K/min."""
         raised = tuple((base, power * own) for base, own in self.powers)
         return _Unit(raised, self.factor**power)
 
     def times(self, other: _Unit) -> _Unit:
-        """The product of both."""
+        """Return the product of two units."""
         powers = Counter(dict(self.powers))
         for base, own in other.powers:
             powers[base] += own
@@ -106,7 +106,7 @@ _UNITS |= {
     )
 }
 _UNIT_POWER = re.compile(r"1|(?P<name>.*?[^\d-])(?P<power>-?\d+)?")
-"""A unit and its power, as in m3 or s-2."""
+"""A unit and its power, such as m3 or s-2."""
 
 
 LIKELY = {
@@ -117,18 +117,18 @@ LIKELY = {
     "N": ("kN",), "W": ("kW",), "J": ("kJ", "kWh"), "V": ("mV",), "A": ("mA",),
     "m3/s": ("l/min", "m3/h", "l/s"), "kg/s": ("kg/h", "kg/min", "g/s"), "1": ("%",),
 }  # fmt: skip
-"""Units in which a column may be that is taken for one in another unit."""
+"""For each unit, other units in which a column may actually be."""
 
 
 def likely_conversions(wanted: str) -> dict[str, UnitConversion]:
-    """Return the conversions from units that are often mistaken for one, by unit."""
+    """Return the conversions from units that are often mistaken for the wanted unit, by unit."""
     names = LIKELY.get(spelled(wanted), ())
     found = {name: conversion(name, wanted) for name in names}
     return {name: change for name, change in found.items() if change is not None}
 
 
 def spelled(unit: str) -> str:
-    """Return a unit in its usual spelling."""
+    """Return a unit in its usual notation."""
     text = unit.strip()
     for other, usual in UNIT_SPELLINGS.items():
         if text == other or len(other) == 1:
@@ -137,12 +137,12 @@ def spelled(unit: str) -> str:
 
 
 def is_known(unit: str) -> bool:
-    """Return whether a unit can be converted at all."""
+    """Return whether a unit is known, so that it can be converted."""
     return _parsed(spelled(unit)) is not None
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Return whether two spellings mean the same unit."""
+    """Return whether two notations mean the same unit."""
     return spelled(one) == spelled(other)
 
 
@@ -157,7 +157,7 @@ def conversion(given: str, wanted: str) -> UnitConversion | None:
 def _parsed(unit: str) -> _Unit | None:
     """Return a unit, or a product or quotient of units such as kg/min or J/(kg.K), if it is known.
 
-    What stands behind a stroke is divided by, up to the next one.
+    Everything between one slash and the next is a divisor.
     """
     if unit in _UNITS:
         return _UNITS[unit]
@@ -182,5 +182,5 @@ def _raised(part: str) -> _Unit | None:
 
 
 def _rounded(number: float) -> float:
-    """Return a number without the rounding of its last digits."""
+    """Return a number rounded to 12 digits, to remove rounding errors."""
     return float(f"{number:.12g}")

@@ -1,1 +1,1 @@
-"""Shapes of effects: what each adds over its argument, where the data were."""
+"""Shapes of effects: the added term of each effect over its argument, in the range of the data."""

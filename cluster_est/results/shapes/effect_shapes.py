@@ -1,4 +1,4 @@
-"""Shapes of effects: what each adds over its argument, with a band, where the data were."""
+"""Shapes of effects: the added term over its argument with a band, in the range of the data."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ from workers.messages import FloatArray
 
 
 def covariance_of(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
-    """(coefficients, coefficients): those that are held do not vary.
+    """Return the covariance of coefficients: (coefficients, coefficients).
 
-    Coefficients that follow from other parameters of the effect vary with these.
+    Fixed coefficients have no variance. Derived coefficients vary with the parameters of the effect
+    from which they are computed.
     """
     if any(e.estimated_on == "derived" for e in coefficients):
         begin = f"{coefficients[0].label.rpartition('.')[0]}."
@@ -55,9 +56,9 @@ def covariance_of(result: Result, coefficients: Sequence[Estimate]) -> FloatArra
 def _derivatives(
     result: Result, coefficients: Sequence[Estimate], free: Sequence[Estimate]
 ) -> FloatArray:
-    """(coefficients, free): derivatives of coefficients by those that were not derived.
+    """Return the derivatives of coefficients by the free parameters: (coefficients, free).
 
-    The expressions that they follow are linear, so differences are exact.
+    The expressions of derived coefficients are linear, so differences are exact.
     """
     problem, count = result.problem, len(free)
     values = {e.label: np.full(1 + count, e.value) for e in result.estimates}
@@ -73,30 +74,30 @@ def _derivatives(
 
 POINTS, ARGUMENT_BINS = 201, 48
 UNKNOWN_ARGUMENT = "nothing is known of"
-"""Begins the reason where an argument's values are not to be had."""
+"""Start of the reason if the values of an argument are not known."""
 BAND_QUANTILE = 1.959963984540054
 """The 97.5 % quantile of the normal distribution, half the width of a 95 % band."""
 VisitedValues = Callable[[EffectSite, str], FloatArray]
-"""The values of a variable by its name in the training experiments, at a site: empty if unknown."""
+"""Returns the values of a variable at a site in the training experiments; empty if unknown."""
 Shape = Callable[[FloatArray, FloatArray], FloatArray]
-"""What an effect adds, as a function of its argument and its coefficients."""
+"""The added term of an effect as a function of its argument and its coefficients."""
 
 
 @dataclass(frozen=True)
 class EffectShape:
-    """One part of an effect as a function of the one variable that it depends on.
+    """One part of an effect as a function of its only variable.
 
     Attributes
     ----------
     target
-        The state, input, output or parameter where it acts.
+        The state, input, output or parameter on which it acts.
     argument
         The name of the variable; "time" for the time.
     shape
         The function.
     positive
-        The variable whose sign switches it: the function holds where that is positive. "" without
-        one.
+        A variable whose sign switches the effect; the function applies if it is positive. "" if
+        there is none.
     """
 
     target: str
@@ -113,11 +114,11 @@ def effect_shapes(
     Parameters
     ----------
     result
-        Values of the coefficients, and their covariance.
+        The result, with the coefficients and their covariance.
     description
-        Of the FMU, for units.
+        Description of the FMU, for units.
     visited
-        Where the training experiments were.
+        Returns the values of variables in the training experiments.
     """
     definitions = _definitions(result, description)
     return tuple(c for d in definitions for c in _curves(d, result, description, visited))
@@ -126,10 +127,11 @@ def effect_shapes(
 def shape_over(
     curve: EffectCurve, result: Result, description: ModelDescription
 ) -> Callable[[FloatArray], FloatArray] | None:
-    """Return what an effect adds, over the variable of its curve, also where no data were.
+    """Return the added term of an effect over its variable, also outside the range of the data.
 
-    None where it has no curve, or one for one sign of another variable, or changes a parameter. Of
-    a signal that becomes a function of itself, what is added to it.
+    None if the effect has no curve, depends on the sign of another variable, changes a parameter,
+    or has internal states. For a signal that is replaced by a function of itself, the signal is
+    subtracted.
     """
     found = next(
         (d for d in _definitions(result, description) if d.effect.name == curve.effect), None
@@ -194,7 +196,7 @@ def _curves(
 def _filter_curves(
     definition: EffectDefinition, result: Result, description: ModelDescription
 ) -> list[EffectCurve]:
-    """The step response of a free filter, as long as it moves, and its magnitude and phase."""
+    """Return the step response of a free filter until it has settled, its magnitude and phase."""
     form, site = definition.form, definition.site
     values = np.array([e.value for e in coefficient_estimates(definition, result)])
     own = own_variable(site) if site.at_rates else site.target
@@ -220,14 +222,14 @@ def _filter_curves(
 
 
 def part_shapes(definition: EffectDefinition, signal: float = 1.0) -> list[EffectShape]:
-    """Make a function of each part of an effect; none where it depends on more than a variable.
+    """Return a function for each part of an effect; none if a part has more than one variable.
 
     Parameters
     ----------
     definition
-        Of an effect without memory and states of its own.
+        Definition of an effect without memory and internal states.
     signal
-        The value of the parameter that the effect changes, if it acts on one.
+        The value of the parameter, for an effect on a parameter.
     """
     found = []
     for target, equation in definition.equations:
@@ -245,9 +247,9 @@ def part_shapes(definition: EffectDefinition, signal: float = 1.0) -> list[Effec
 def _part(
     definition: EffectDefinition, equation: sp.Expr, signal: float
 ) -> tuple[str, sp.Symbol, sp.Expr] | None:
-    """The argument of a part, by its name and symbol, and what the part adds there.
+    """Return the name and the symbol of a part's argument, and its added term.
 
-    Where an effect takes the place of a signal and depends on that alone, it is the new signal.
+    If an effect replaces a signal by a function of the signal only, return the new signal.
     """
     site = definition.site
     if site.kind == "parameter":
@@ -268,7 +270,7 @@ def _part(
 def _while_positive(
     definition: EffectDefinition, equation: sp.Expr, signal: float
 ) -> tuple[str, tuple[str, sp.Symbol, sp.Expr] | None]:
-    """The variable whose sign switches a part, and the part where that is positive, if any."""
+    """Return the variable whose sign switches a part, and the part for positive values, if any."""
     name = next(iter(definition.effect.variables), "")
     switching = variable_symbol(name)
     switched = equation.replace(lambda e: isinstance(e, sp.tanh) and e.has(switching), lambda _: 1)
@@ -284,7 +286,7 @@ def _arguments(definition: EffectDefinition, equation: sp.Expr) -> set[sp.Symbol
 def _difference(
     definition: EffectDefinition, equation: sp.Expr
 ) -> tuple[str, sp.Symbol, sp.Expr] | None:
-    """Return the argument of a part that depends on the difference of two variables alone."""
+    """Return the argument of a part that depends only on the difference of two variables."""
     effect, site = definition.effect, definition.site
     given = effect.variables[0] if effect.variables else own_variable(site)
     names = split_variable(given, definition.uses)
@@ -318,7 +320,7 @@ def _is_one(definition: EffectDefinition, result: Result) -> bool:
 
 
 def coefficient_estimates(definition: EffectDefinition, result: Result) -> list[Estimate]:
-    """The estimates of an effect's coefficients, in the order of its form."""
+    """Return the estimates of an effect's coefficients, in the order of its form."""
     rows = {e.label: e for e in result.estimates}
     return [rows[str(symbol)] for symbol in definition.coefficients]
 
@@ -330,7 +332,7 @@ def _curve(
     result: Result,
     description: ModelDescription,
 ) -> EffectCurve:
-    """One part of an effect with its band."""
+    """Return the curve of one part of an effect, with its band."""
     own = coefficient_estimates(definition, result)
     values = np.array([e.value for e in own])
     y = part.shape(x, values)
@@ -358,7 +360,7 @@ def _curve(
 def spread_of(
     shape: Shape, x: FloatArray, values: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """The standard deviation of a shape, to first order, by central differences."""
+    """Return the standard deviation of a shape, to first order, from central differences."""
     if not np.isfinite(covariance).all():
         return np.full(len(x), np.nan)
     slopes = np.zeros((len(x), len(values)))
@@ -373,6 +375,6 @@ def spread_of(
 def with_evidence(
     curve: EffectCurve, at: FloatArray, more: FloatArray, error: FloatArray
 ) -> EffectCurve:
-    """The curve beside what the residuals ask for: `more` than it at some places."""
+    """Return the curve with the term that the residuals suggest: curve plus `more` at `at`."""
     free = np.interp(at, curve.x, curve.y) + more
     return replace(curve, free_x=at, free_y=free, free_error=error)

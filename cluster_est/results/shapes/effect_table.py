@@ -32,5 +32,5 @@ SHAPES = pa.schema(
 
 
 def curve_table(curves: Sequence[EffectCurve]) -> pa.Table:
-    """Make a row for each curve of each effect; its points are lists."""
+    """Return a table with a row for each curve of each effect; the points are lists."""
     return pa.Table.from_pylist([dataclasses.asdict(each) for each in curves], schema=SHAPES)

@@ -1,14 +1,14 @@
-"""Step and frequency responses of free filters, and the few numbers that say the same.
+"""Step and frequency responses of free filters, and their reduced models.
 
-A free filter has n equal lags in series, of which it adds k_i z_i. After a step of 1 of its
-argument, lag i is at the regularised incomplete gamma function P(i, t / tau). At a frequency f it
-multiplies a sine by a power of the transfer function of a lag:
+A free filter has n equal lags in series, and adds the sum of k_i z_i. After a unit step of its
+argument, lag i is the regularised incomplete gamma function P(i, t / tau). Its frequency response
+is a power of the transfer function of one lag:
 
     c(t) = d + sum k_i P(i, t / tau)        H(f) = d + sum k_i (1 + 2 pi j f tau)^-i
 
-d is what passes at once. A balanced truncation (B. C. Moore, IEEE Trans. Automatic Control 26
-(1981) 17-32, doi:10.1109/TAC.1981.1102568) says whether one or two time constants do nearly the
-same.
+d is the direct feedthrough. A balanced truncation (B. C. Moore, IEEE Trans. Automatic Control 26
+(1981) 17-32, doi:10.1109/TAC.1981.1102568) shows whether a model with one or two time constants has
+nearly the same response.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from workers.effects.laws import Law
 from workers.messages import Experiment, FloatArray
 
 SETTLED = 12.0
-"""Time constants behind those of its order after which a filter is drawn to be settled."""
+"""Number of time constants, in addition to the order, after which a filter has settled."""
 PART = 1.0 - np.exp(-1.0)
-"""Of its way: what a single lag does within its time constant."""
+"""Share of its final value that a single lag reaches within its time constant."""
 NO_WAY = 0.05
-"""Share of its largest deflection below which a filter comes back to where it was."""
+"""Final value over the largest deflection below which a filter returns to its initial value."""
 DECADE = 10.0
-"""How far below and above the corner frequency of its lags the frequency response is drawn."""
+"""Ratio of the ends of a plotted frequency range to the corner frequency of the lags."""
 REDUCED = 0.05
-"""Share of the Hankel singular values that a reduced model may leave out."""
+"""Largest share of the Hankel singular values that a reduced model leaves out."""
 
 
 def filter_parts(form: EffectForm, values: FloatArray) -> tuple[FloatArray, float]:
-    """Return the strengths of a free filter and its time constant, by the order of its form."""
+    """Return the strengths of a free filter and its time constant."""
     order = len(form.states)
     return values[:order], float(values[order])
 
 
 def settled_after(form: EffectForm, values: FloatArray) -> float:
-    """Return a time after which the step response of a free filter moves no more."""
+    """Return a time after which the step response of a free filter has settled."""
     strengths, tau = filter_parts(form, values)
     return (len(strengths) + SETTLED) * tau
 
@@ -52,9 +52,9 @@ def settled_after(form: EffectForm, values: FloatArray) -> float:
 def shown_frequencies(
     form: EffectForm, values: FloatArray, experiments: Sequence[Experiment]
 ) -> tuple[float, float]:
-    """Return the range in Hz to draw: around the corner frequency, as far as the data reach.
+    """Return the frequency range of plots in Hz: around the corner frequency, limited by the data.
 
-    Data reach from one period in the longest record up to the Nyquist frequency.
+    The data cover the range from one period in the longest record to the Nyquist frequency.
     """
     corner = 0.5 / (np.pi * filter_parts(form, values)[1])
     around = corner / DECADE, corner * DECADE
@@ -65,9 +65,9 @@ def shown_frequencies(
 
 
 Response = Callable[[FloatArray, FloatArray], FloatArray]
-"""A response of a free filter over times or frequencies, and its coefficients.
+"""A response of a free filter as a function of times or frequencies and of its coefficients.
 
-At an input or output, in the place of the signal's own, what that becomes.
+At an input or output that the filter replaces, it is the response of the new signal.
 """
 
 
@@ -77,7 +77,7 @@ def _at_once(form: EffectForm, strengths: FloatArray) -> float:
 
 
 def step_response(form: EffectForm) -> Response:
-    """Return the response of a free filter to a step of 1 at 0, over times."""
+    """Return the response of a free filter to a unit step at time 0."""
 
     def response(t: FloatArray, values: FloatArray) -> FloatArray:
         strengths, tau = filter_parts(form, values)
@@ -87,9 +87,9 @@ def step_response(form: EffectForm) -> Response:
 
 
 def bode_plot(form: EffectForm) -> tuple[Response, Response]:
-    """Return the magnitude of a free filter in dB and its phase in degrees, over f in Hz.
+    """Return the magnitude of a free filter in dB and its phase in degrees as functions of f in Hz.
 
-    The phase is continuous in f.
+    The phase is a continuous function of f.
     """
 
     def complex_gain(f: FloatArray, values: FloatArray) -> NDArray[np.complex128]:
@@ -102,7 +102,7 @@ def bode_plot(form: EffectForm) -> tuple[Response, Response]:
             return np.asarray(20.0 * np.log10(np.abs(complex_gain(f, values))))
 
     def phase(f: FloatArray, values: FloatArray) -> FloatArray:
-        turned = np.angle(complex_gain(f, values) * np.exp(0.25j * np.pi))  # no cut at -1 and 1
+        turned = np.angle(complex_gain(f, values) * np.exp(0.25j * np.pi))  # no branch cut at -1, 1
         return np.asarray(np.degrees(np.unwrap(turned)) - 45.0)
 
     return magnitude, phase
@@ -114,7 +114,7 @@ def _way(strengths: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def dynamics_in_words(form: EffectForm, values: Sequence[float]) -> str:
-    """Say how fast the step response is, and what a reduced model has; "" if unknown."""
+    """Describe the speed of the step response, and the reduced model; "" if unknown."""
     strengths, tau = filter_parts(form, np.array(values, float))
     if not (np.isfinite(strengths).all() and tau > 0.0 and strengths.any()):
         return ""
@@ -132,9 +132,9 @@ def dynamics_in_words(form: EffectForm, values: Sequence[float]) -> str:
 
 
 def reduced_time_constants(strengths: FloatArray, tau: float) -> FloatArray:
-    """Return the one or two time constants of a reduced model, the fast one first.
+    """Return the one or two time constants of a reduced model, the shorter one first.
 
-    None where it needs more, or would swing.
+    The result is empty if the model needs more time constants, or if it would oscillate.
     """
     n = len(strengths)
     a = np.eye(n, k=-1) - np.eye(n)

@@ -1,4 +1,4 @@
-"""Where the signals of the training experiments were, for the shapes of declared effects."""
+"""Values of signals in the training experiments, for the shapes of declared effects."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from workers.messages import Experiment, FloatArray, Outcome
 Signals = Mapping[str, FloatArray]
 
 MOST_LINEARISATION_ENTRIES = 20_000_000
-"""Entries of the matrices of all linearisations: 160 MB."""
+"""Largest number of entries in the matrices of all linearisations: 160 MB."""
 
 PLAIN = "before effects: "
-"""Stands before the name of an input or output as it is before effects act on it."""
+"""Prefix of the name of an input or output without effects."""
 
 
 def declared_shapes(runner: Runner, train: SearchSpace, result: Result) -> tuple[EffectCurve, ...]:
     """Compute the shapes of the effects that a problem declares.
 
-    Outputs, inputs and measured signals are known from the simulations at the estimates. Where a
-    shape needs a state besides, each training experiment is linearised once there, in model
-    exchange and unless that takes much memory.
+    Outputs, inputs and measured signals are known from the simulations at the estimates. If a shape
+    needs a state, each training experiment is linearised once. This requires model exchange and
+    sufficient memory.
     """
     problem = result.problem
     outcomes = {s.experiment: s.outcome for s in result.simulations}
@@ -53,7 +53,7 @@ def _fits(outcomes: Sequence[Outcome], result: Result) -> bool:
 def _shapes(
     train: SearchSpace, outcomes: Sequence[Outcome], result: Result
 ) -> tuple[EffectCurve, ...]:
-    """The shapes, as far as their arguments are known from these outcomes."""
+    """Return the shapes whose arguments are known from these outcomes."""
     problem = result.problem
     pairs = zip(train.experiments, outcomes, strict=True)
     known = [_signals(problem.experiments[e], outcome) for e, outcome in pairs]
@@ -71,7 +71,7 @@ def _shapes(
 
 
 def _signals(experiment: Experiment, outcome: Outcome) -> Signals:
-    """Signals of an experiment by name, along the times of its simulation."""
+    """Return the signals of an experiment by name, at the times of its simulation."""
     linear, trajectory = outcome.linearisation, outcome.trajectory
     if linear is not None:
         plain = [PLAIN + name for name in linear.output_names]

@@ -1,1 +1,1 @@
-"""The error of the solver's step beside what a fit has left."""
+"""The error of the solver, compared with the residuals of a fit."""

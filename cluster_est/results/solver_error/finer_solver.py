@@ -1,4 +1,4 @@
-"""A solver that is finer than the one that a model is simulated with, to measure its error by."""
+"""More accurate solvers, to measure the error of the solver of a model."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from workers.simulation.integrator import DEFAULT_RTOL
 
 
 def communication_step(model: Model, description: ModelDescription) -> float:
-    """Return the step of an FMU that communicates in steps of one length, in seconds.
+    """Return the step of an FMU with a fixed communication step, in seconds.
 
-    Between two such points its inputs are held and its outputs interpolated, however short the
-    interval of the data. 0.0 where every time in the data is such a point, or no step is known
-    before an experiment is.
+    Between two communication points, inputs are held and outputs interpolated, also if the interval
+    of the data is shorter. The result is 0.0 if every time in the data is a communication point, or
+    if the step depends on the experiment.
     """
     if model.interface != "co_simulation" or description.variable_steps:
         return 0.0
@@ -28,9 +28,9 @@ def communication_step(model: Model, description: ModelDescription) -> float:
 
 
 def fixed_step(model: Model) -> float:
-    """Return the longest step of a solver that does not shorten it where something switches.
+    """Return the longest step, in seconds, of a solver that does not shorten steps at events.
 
-    In seconds; infinite where one step goes from each time in the data to the next, 0.0 for solvers
+    It is infinite if each step extends from one time in the data to the next. It is 0.0 for solvers
     that control their error.
     """
     if model.solver.name != "rk4":
@@ -39,39 +39,40 @@ def fixed_step(model: Model) -> float:
 
 
 RTOL_TIGHTENING = 100.0
-"""Factor by which a relative tolerance is tightened to see the error of a solver."""
+"""Factor by which a relative tolerance is tightened to measure the error of a solver."""
 LEAST_RTOL = 1e-13
-"""Relative tolerance below which rounding would decide."""
+"""Least relative tolerance; below it, rounding errors dominate."""
 WHOLE_STEP_TOLERANCE = 1e-6
-"""Part of a step of the FMU's own by which another may miss a multiple of it."""
+"""Relative tolerance for a step that must be a multiple of the FMU's step."""
 
 
 @dataclass(frozen=True)
 class SolverScale:
-    """What decides how exact a solver is: its step, or its tolerance.
+    """The setting that determines the accuracy of a solver: its step, or its tolerance.
 
     Attributes
     ----------
     solver
-        As declared.
+        The declared solver.
     name
-        Opens a sentence: "the communication step of 0.1 s".
+        Start of a sentence, such as "the communication step of 0.1 s".
     step
-        Seconds; 0.0 where a tolerance decides.
+        The step in seconds; 0.0 if a tolerance determines the accuracy.
     rtol, longest
-        A tolerance, and the longest step that it is kept with, which the data bound: with samples
-        close together it decides, and a tighter tolerance alone changes nothing. 0.0 where a step
-        decides.
+        The tolerance, and the longest step, which the times of the data limit. With closely spaced
+        samples, this step determines the accuracy, and a tighter tolerance alone has no effect. 0.0
+        if a step determines the accuracy.
     ratio
-        By which `finer` divides the step, or the tolerance.
+        Factor by which `finer` divides the step or the tolerance.
     fixed
-        An FMU that declares one communication step: what it makes of others is not certain.
+        Whether the FMU declares a fixed communication step; other steps may not be possible.
     own_step
-        Of such an FMU, where it names one: it takes multiples of it alone.
+        The internal step of such an FMU, if it is known; only multiples of it are possible.
     exchange
-        Co-simulation of an FMU that offers model exchange, which has no communication steps.
+        Whether the FMU is used in co-simulation but offers model exchange, which has no
+        communication steps.
     why_not
-        Part of a sentence: why there is nothing finer; "" where there is.
+        Part of a sentence: why there is no more accurate solver; "" if there is one.
     """
 
     solver: Solver
@@ -86,10 +87,10 @@ class SolverScale:
     why_not: str = ""
 
     def finer(self, times: int = 1) -> Solver:
-        """A solver that is finer by `ratio`, so many times.
+        """Return a solver whose step or tolerance is divided by `ratio`, `times` times.
 
-        With a tolerance the longest step is halved too; one that is handed to an FMU is divided by
-        100, once.
+        With a tolerance, it is divided once, and the longest step is also halved. The tolerance of
+        an FMU is divided by 100 once.
         """
         solver = self.solver
         if not self.step:
@@ -100,17 +101,17 @@ class SolverScale:
         return replace(solver, step=self.step / self.ratio**times)
 
     def can_be_finer_twice(self) -> bool:
-        """Return whether a third solution is to be had, by which the order shows."""
+        """Return whether a third, still finer solution is possible, which shows the order."""
         if not self.step:
             return False
         return not self.own_step or _is_whole(self.step / self.ratio**2 / self.own_step)
 
     def advice(self, factor: float, order: float) -> str:
-        """Return what to set so that an error falls by a factor: keys of a config.
+        """Return the config keys that reduce the error by a factor.
 
-        The error of a step h of a method of order p goes with h^p; that of a tolerance with the
-        tolerance itself (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
-        Equations I, sections II.3 and II.4, doi:10.1007/978-3-540-78862-1).
+        The error of a method of order p with step h is proportional to h^p. With a tolerance, the
+        error is proportional to the tolerance (E. Hairer, S. P. Norsett, G. Wanner, Solving
+        Ordinary Differential Equations I, sections II.3 and II.4, doi:10.1007/978-3-540-78862-1).
         """
         factor = max(factor, 1.0)
         if not self.step:
@@ -131,7 +132,7 @@ class SolverScale:
 def solver_scale(
     model: Model, description: ModelDescription, experiments: Sequence[Experiment]
 ) -> SolverScale:
-    """Find what decides how exact the solver of a model is in these experiments."""
+    """Return the setting that determines the accuracy of the solver in these experiments."""
     solver, usual = model.solver, usual_interval(experiments)
     step = min(solver.step or usual, usual)
     if solver.name == "rk4":
@@ -151,7 +152,7 @@ def solver_scale(
 def step_never_taken(
     model: Model, description: ModelDescription, experiments: Sequence[Experiment]
 ) -> str:
-    """Say of a step that is longer than every interval of the data that it has no effect."""
+    """Return a note if the step is longer than every interval of the data; "" otherwise."""
     solver = model.solver
     fixed = solver.name == "fmu" and not description.variable_steps
     if solver.step is None or fixed:
@@ -167,14 +168,14 @@ def step_never_taken(
 
 
 def usual_interval(experiments: Sequence[Experiment]) -> float:
-    """Return the interval of the data in which, or in a longer one, half of all time is spent."""
+    """Return the median interval of the data, with the intervals' lengths as weights."""
     intervals = np.sort(np.concatenate([np.diff(build_grid(run).times) for run in experiments]))
     spent = np.cumsum(intervals)
     return float(intervals[np.searchsorted(spent, 0.5 * spent[-1])])
 
 
 def _fixed(model: Model, description: ModelDescription) -> SolverScale:
-    """Of an FMU that communicates in steps of one length; only a user knows which others it has."""
+    """Return the scale of an FMU with a fixed communication step; the user may know other steps."""
     own = description.fixed_internal_step or 0.0
     solver, step = model.solver, communication_step(model, description)
     name = f"the communication step of {step:.4g} s" if step else "the communication step"

@@ -1,4 +1,4 @@
-"""Every design by its name; a new one is a file beside these and a line here."""
+"""All designs by name; a new design is a file in this folder and a line here."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The contract of a design: which points of a box are simulated, and what their values say.
+"""Base class of designs, which choose the simulated points and compute indices from their values.
 
-A design samples the unit cube in groups of points: a failed simulation takes its group away and no
-more. The indices that it computes are of one quantity, whatever that is.
+A design samples the unit cube in groups of points. If a simulation fails, only its group is lost.
+Indices are computed for one quantity at a time.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray, IntArray
 
 ROUNDING_OF_QUANTITY = 1e-12
-"""Range of a quantity over its size up to which it is constant."""
+"""Relative range of a quantity up to which it is constant."""
 RESAMPLES = 100
-"""Resamples of the groups, for intervals."""
+"""Number of resamples of the groups for intervals."""
 
 
 @dataclass(frozen=True)
 class SensitivityIndex:
-    """One measure of how much each unknown moves a quantity.
+    """A measure of the influence of each unknown on a quantity.
 
     Attributes
     ----------
     name
-        Such as "total".
+        Name of the measure, such as "total".
     values : (unknowns,)
-        One for each unknown; NaN where the quantity does not move at all.
+        Value for each unknown; NaN if the quantity is constant.
     half_widths : (unknowns,)
-        Of their 95 % intervals; NaN where nothing is known of them.
+        Half-widths of the 95 % intervals; NaN if they are not known.
     """
 
     name: str
@@ -43,22 +43,22 @@ class SensitivityIndex:
 
 
 class SensitivityDesign(ABC):
-    """A sampling of the unit cube, with the indices that belong to it."""
+    """A sampling of the unit cube, with its indices."""
 
     name: ClassVar[str]
-    """As in a config."""
+    """Name of the design in a config."""
 
     measures: ClassVar[tuple[str, ...]]
-    """Names of its indices, in their order."""
+    """Names of the indices in order."""
 
     ranks: ClassVar[str]
-    """The index by which unknowns are ranked."""
+    """The index for the ranking of unknowns."""
 
     fewest: ClassVar[int]
-    """Groups without which the indices mean nothing."""
+    """Least number of groups for meaningful indices."""
 
     usual: ClassVar[int]
-    """Groups where nobody asks for another number."""
+    """Default number of groups."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -66,35 +66,35 @@ class SensitivityDesign(ABC):
 
     @abstractmethod
     def group(self, size: int) -> int:
-        """Return the points of a group for `size` unknowns."""
+        """Return the number of points of a group for `size` unknowns."""
 
     @abstractmethod
     def sample(self, size: int, groups: int, generator: np.random.Generator) -> FloatArray:
-        """Return points of the unit cube, group after group: (groups * group, size).
+        """Return points of the unit cube, one group after the other: (groups * group, size).
 
         Parameters
         ----------
         size
             Number of unknowns.
         groups
-            As many, or the next number that the design can have.
+            Number of groups; it may be increased to the next possible number.
         generator
-            Of all that is random.
+            Generates the random numbers.
         """
 
     def indices(
         self, points: FloatArray, values: FloatArray, generator: np.random.Generator
     ) -> tuple[SensitivityIndex, ...]:
-        """Return the indices of a quantity; NaN where it does not move.
+        """Return the indices of a quantity; NaN if it is constant.
 
         Parameters
         ----------
         points : (n, size)
-            Whole groups of what `sample` gave.
+            Complete groups of points from `sample`.
         values : (n,)
-            Of the quantity, all finite.
+            Finite values of the quantity.
         generator
-            Of the resampling that their intervals come from.
+            Generates the resamples for the intervals.
         """
         if float(np.ptp(values)) <= ROUNDING_OF_QUANTITY * float(np.abs(values).max(initial=0.0)):
             nothing = np.full(points.shape[1], np.nan)
@@ -105,22 +105,22 @@ class SensitivityDesign(ABC):
     def indices_of_moving(
         self, points: FloatArray, values: FloatArray, generator: np.random.Generator
     ) -> tuple[SensitivityIndex, ...]:
-        """Return the same of a quantity that moves."""
+        """Return the indices of a quantity that is not constant."""
 
 
 def half_widths(
     statistic: Callable[[IntArray], FloatArray], groups: int, generator: np.random.Generator
 ) -> FloatArray:
-    """Return half of the 95 % intervals of a statistic, from a bootstrap of the groups.
+    """Return the half-widths of the 95 % intervals of a statistic, from a bootstrap of the groups.
 
     Parameters
     ----------
     statistic
-        Of the groups with these numbers, some of them more than once.
+        A function of the numbers of the groups, which may be repeated.
     groups
-        How many there are.
+        Number of groups.
     generator
-        Of the resampling.
+        Generates the resamples.
     """
     from scipy.stats import bootstrap  # slow to import
 

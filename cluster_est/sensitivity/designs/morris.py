@@ -1,4 +1,4 @@
-"""Elementary effects: which of many unknowns matter at all, for few simulations."""
+"""Elementary effects (Morris), which find the influential unknowns with few simulations."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cluster_est.sensitivity.designs.base import (
 from workers.messages import FloatArray
 
 STEP_ON_GRID = 2.0 / 3.0
-"""Step on a grid of four levels: all of them are then visited equally often."""
+"""Step on a grid of four levels; with this step, all levels are used equally often."""
 LOWER_ENDS_OF_STEPS = (0.0, 1.0 - STEP_ON_GRID)
-"""Lower ends of steps."""
+"""Possible lower ends of steps."""
 
 
 @final
@@ -25,12 +25,12 @@ LOWER_ENDS_OF_STEPS = (0.0, 1.0 - STEP_ON_GRID)
 class MorrisDesign(SensitivityDesign):
     """Mean absolute elementary effects, and their standard deviation.
 
-    Along each trajectory one unknown after another takes a step; what a quantity changes by, over
-    the step in parts of the unknown's bounds, is an elementary effect: M. D. Morris, Technometrics
-    33 (1991) 161-174, doi:10.1080/00401706.1991.10484804. Its mean absolute value mu* ranks the
-    unknowns (F. Campolongo, J. Cariboni, A. Saltelli, Environ. Model. Softw. 22 (2007) 1509-1518,
-    doi:10.1016/j.envsoft.2006.10.004); a standard deviation as large as it means that the effect
-    depends on where the others are. Both have the unit of the quantity.
+    Along each trajectory, one unknown after the other changes by one step. An elementary effect is
+    the change of a quantity over the step, relative to the range of the bounds (M. D. Morris,
+    Technometrics 33 (1991) 161-174, doi:10.1080/00401706.1991.10484804). The mean absolute value
+    mu* ranks the unknowns (F. Campolongo, J. Cariboni, A. Saltelli, Environ. Model. Softw. 22
+    (2007) 1509-1518, doi:10.1016/j.envsoft.2006.10.004). If the standard deviation is as large as
+    mu*, the effect depends on the values of the other unknowns. Both have the unit of the quantity.
     """
 
     name: ClassVar[str] = "morris"
@@ -43,11 +43,11 @@ class MorrisDesign(SensitivityDesign):
         return size + 1
 
     def sample(self, size: int, groups: int, generator: np.random.Generator) -> FloatArray:
-        (own,) = generator.spawn(1)  # what else is random does not depend on how much is drawn
+        (own,) = generator.spawn(1)  # other random numbers do not depend on the number of draws
         place = np.arange(size + 1)[:, None]
         found = []
         for _ in range(groups):
-            turn = own.permutation(size)  # when each unknown takes its step
+            turn = own.permutation(size)  # the position of each unknown's step
             upwards = own.choice([-1, 1], size) > 0
             base = own.choice(LOWER_ENDS_OF_STEPS, size)
             found.append(base + STEP_ON_GRID * ((place > turn) == upwards))
@@ -63,7 +63,7 @@ class MorrisDesign(SensitivityDesign):
         effects = np.einsum("ts,tsu->tu", changes, steps) / STEP_ON_GRID
         half = half_widths(lambda t: np.abs(effects[t]).mean(axis=0), len(effects), generator)
         if len(np.unique(trajectories, axis=0)) < self.fewest:
-            half = np.full(size, np.nan)  # the same few trajectories again and again tell nothing
+            half = np.full(size, np.nan)  # a few repeated trajectories give no interval
         return (
             SensitivityIndex("mu*", np.abs(effects).mean(axis=0), half),
             SensitivityIndex("sigma", effects.std(axis=0, ddof=1), np.full(size, np.nan)),

@@ -1,4 +1,4 @@
-"""Sobol indices: the shares of a quantity's variance that each unknown makes."""
+"""Sobol indices: the share of each unknown in the variance of a quantity."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from workers.messages import FloatArray
 @final
 @dataclass(frozen=True)
 class SobolDesign(SensitivityDesign):
-    """Variance-based indices of first order and total ones.
+    """Variance-based indices: first-order and total indices.
 
-    First order is the share V[E[y | x_i]] / V[y] that an unknown makes by itself; total is 1 less
-    the share that all others make together: I. M. Sobol, Math. Comput. Simul. 55 (2001) 271-280,
-    doi:10.1016/S0378-4754(00)00270-6; estimators of A. Saltelli et al., Comput. Phys. Commun. 181
-    (2010) 259-270, doi:10.1016/j.cpc.2009.09.018. A total index near 0 means that the unknown may
-    be fixed anywhere in its bounds. Intervals are from a bootstrap of the groups.
+    The first-order index is the share V[E[y | x_i]] / V[y] of an unknown alone. The total index is
+    1 minus the share of all other unknowns together (I. M. Sobol, Math. Comput. Simul. 55 (2001)
+    271-280, doi:10.1016/S0378-4754(00)00270-6). The estimators are those of A. Saltelli et al.,
+    Comput. Phys. Commun. 181 (2010) 259-270, doi:10.1016/j.cpc.2009.09.018. An unknown with a total
+    index near 0 may be fixed anywhere between its bounds. Intervals come from a bootstrap of the
+    groups.
 
-    `scipy.stats.sobol_indices` has the same estimators but refuses a number of groups that is no
-    power of two, as it is where simulations have failed, and takes no generator for intervals.
+    `scipy.stats.sobol_indices` has the same estimators. It requires a power of two as the number of
+    groups, which is not given after failed simulations, and has no generator for intervals.
     """
 
     name: ClassVar[str] = "sobol"
@@ -46,7 +47,7 @@ class SobolDesign(SensitivityDesign):
         a, b = np.hsplit(Sobol(2 * size, rng=generator).random(power), 2)
         found = np.repeat(a[:, None], size + 2, axis=1)
         unknown = np.arange(size)
-        found[:, unknown + 1, unknown] = b  # one unknown after another as in b
+        found[:, unknown + 1, unknown] = b  # one unknown after the other has its value from b
         found[:, -1] = b
         return found.reshape(-1, size)
 
@@ -61,7 +62,7 @@ class SobolDesign(SensitivityDesign):
 
 
 def _estimates(table: FloatArray) -> FloatArray:
-    """(2, unknowns): first order and total, of values at a, at each change to b, and at b."""
+    """Return first-order and total indices, (2, unknowns), from values at a, mixtures, and b."""
     a, changed, b = table[:, :1], table[:, 1:-1], table[:, -1:]
     parts = np.array([b * (changed - a), 0.5 * (a - changed) ** 2]).mean(axis=1)
     variance = table[:, [0, -1]].var()

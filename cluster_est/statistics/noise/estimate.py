@@ -69,7 +69,7 @@ NOISE_DIFFERENCE_ORDER = 4
 """Order of the differences; they remove everything that is cubic over five samples."""
 
 HIGHER = (4, 6, 8)
-"""Orders that are compared where the signal moves. With white noise, all orders give the same
+"""Orders that are compared while the signal moves. With white noise, all orders give the same
 estimate. With structure of more than six samples per period, higher orders give smaller ones."""
 
 BLOCK = 32

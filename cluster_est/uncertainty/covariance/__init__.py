@@ -1,1 +1,1 @@
-"""Standard errors from the derivatives at the solution, and what they leave open."""
+"""Standard errors from the derivatives at the solution, and directions without information."""

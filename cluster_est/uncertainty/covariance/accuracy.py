@@ -1,9 +1,8 @@
-"""Bounds on the errors of a Jacobian by finite differences, column by column.
+"""Bounds on the errors of each column of a Jacobian from finite differences.
 
-A direction that the data do not determine at all does not show as 0 in such a Jacobian, but as the
-sum of the errors of its columns: from the noise of the simulation over the step, and from the
-curvature times the step (forward) or its square (central); see
-`methods.differences`.
+Along a direction that the data do not determine, such a Jacobian is not 0 but contains the errors
+of its columns. They come from the noise of the simulation over the step, and from the curvature
+times the step (forward) or its square (central); see `methods.differences`.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, Output
 
 ERROR_SAFETY_FACTOR = 30.0
-"""The noise of a solver and the curvature are known by their orders of magnitude only."""
+"""Safety factor, because only the magnitudes of solver noise and curvature are known."""
 ROUNDING_OF_DERIVATIVES = 1e-13
 ABOUT_ZERO = 0.01
-"""Part of the typical size below which an unknown is about 0."""
+"""Share of the typical size below which an unknown is about 0."""
 
 
 def relative_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """Return the size to which a change of each unknown is relative: itself, unless about 0."""
+    """Return the reference size for relative changes of each unknown: its value, unless about 0."""
     own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
     return np.where(space.logarithmic, 1.0, own)
 
@@ -34,19 +33,19 @@ def column_errors(
     outputs: float,
     steps: FloatArray | None,
 ) -> FloatArray:
-    """Return (unknowns,): the error of each column over its norm, with a margin.
+    """Return the error of each column over its norm, with a safety margin: (unknowns,).
 
     Parameters
     ----------
     space, x
-        The space and the point.
+        The search space, and the point.
     sensitivity : (unknowns,)
         Norms of the columns, for a relative change of each unknown.
     outputs
         The norm of the simulated outputs, in units of the residuals.
     steps
-        Of the differences; forward ones are assumed where they are not known. Their size
-        shows whether they were forward or central.
+        Steps of the differences; None for the usual forward steps. The size of the steps shows
+        whether the differences were forward or central.
     """
     noise = relative_noise(space.problem.model.solver)
     usual = difference_steps(space, x, "forward", 0.0)
@@ -64,13 +63,13 @@ def column_errors(
 def measured_errors(
     space: SearchSpace, sensitivity: FloatArray, outputs: float, measured_steps: FloatArray
 ) -> FloatArray:
-    """Return them for directions measured with steps of these relative sizes; see `sharpen`."""
+    """Return the errors of directions measured with these relative steps; see `sharpen`."""
     noise = relative_noise(space.problem.model.solver)
     return _errors(measured_steps**4, noise * outputs / measured_steps, sensitivity)
 
 
 def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:
-    """Return relative errors; a column that is not larger than its noise is nothing but error."""
+    """Return relative errors; the noise of a column is at most the column itself."""
     over = np.divide(noise, sensitivity, out=np.full(len(noise), np.inf), where=sensitivity > 0.0)
     return np.asarray(
         np.maximum(
@@ -80,7 +79,7 @@ def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -
 
 
 def output_norm(space: SearchSpace, factor: FloatArray | None = None) -> float:
-    """Return the norm of the measured outputs, weighted like the residuals; 0 if not known."""
+    """Return the norm of the measured outputs, weighted like the residuals; 0 if unknown."""
     parts = [np.zeros(0)]
     for e in space.experiments:
         experiment = space.problem.experiments[e]
@@ -94,5 +93,5 @@ def output_norm(space: SearchSpace, factor: FloatArray | None = None) -> float:
 
 
 def _size(output: Output) -> FloatArray:
-    """Return what a simulated output is about, in sigmas; of an ordinal one its spread."""
+    """Return the approximate size of a simulated output in sigmas; 1 for an ordinal output."""
     return (np.ones(len(output.times)) if output.ordinal else output.values) / output.sigmas

@@ -1,16 +1,16 @@
 """Standard errors, intervals and correlations from the Jacobian at the solution.
 
-With residuals r of n numbers that determine k directions, the covariance is s^2 (J'J)^-1 with
-s^2 = r'r / (n - k), and the intervals are those of Student's t: G. A. F. Seber, C. J. Wild,
-Nonlinear Regression (1989), doi:10.1002/0471725315, section 2.1. For other costs see `system`.
+If n residuals r determine k directions, the covariance is s^2 (J'J)^-1 with s^2 = r'r / (n - k).
+The intervals are those of Student's t (G. A. F. Seber, C. J. Wild, Nonlinear Regression (1989),
+doi:10.1002/0471725315, section 2.1). For other costs, see `system`.
 
-That is right where the residuals are independent. Where they are not, the covariance is that of an
-autoregression for each output, or of the scatter of the experiments (see `noise_covariance`). All
-of it takes the model for nearly linear over the interval: where it bends, or an interval reaches a
-bound, take profiles. Nothing here allows for a model that lacks something.
+This is correct for independent residuals. Otherwise, the covariance is that of an autoregression
+for each output, or of the scatter of the experiments (see `noise_covariance`). All of these assume
+a nearly linear model within the interval. Use profiles if the model is nonlinear there, or if an
+interval reaches a bound. The intervals do not allow for effects that the model lacks.
 
-A bound that an unknown is at removes a direction, and so does an active constraint on parameters,
-whose gradient is projected out. Active constraints on signals are ignored.
+An unknown at a bound removes a direction, and so does an active constraint on parameters, whose
+gradient is projected out. Active constraints on signals are ignored.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def assess(
     Parameters
     ----------
     space, solution
-        The space that was searched, and the solution with its `jacobian` and, for any cost but the
-        sum of squares, `at`. See `linearise` where a method leaves none.
+        The search space, and the solution with `jacobian` and, for any cost except the sum of
+        squares, `at`. If they are missing, use `linearise` first.
     measured_step
         The second result of `sharpen`, if it was called.
     """
@@ -85,7 +85,7 @@ def scaled_jacobian(
     measured_step: float | FloatArray = 0.0,
     weak: float = WEAK,
 ) -> ScaledJacobian | None:
-    """Return the factorised Jacobian of a solution; None if a part of it or its values lack."""
+    """Return the factorised Jacobian of a solution; None if derivatives or values are missing."""
     has_values = solution.at is not None or isinstance(space.problem.cost, SumSquared)
     known = has_jacobian(solution) and not _without_derivative(space, solution)
     if not known or not has_values or not np.isfinite(solution.cost):
@@ -100,21 +100,21 @@ def scaled_jacobian(
 
 
 def _without_derivative(space: SearchSpace, solution: Solution) -> list[str]:
-    """The unknowns for which simulations beside the solution failed; 0 is not their derivative."""
+    """Return the unknowns without derivatives, because simulations near the solution failed."""
     if solution.frozen is None:
         return []
     return [space.unknowns[i].label for i in np.flatnonzero(solution.frozen)]
 
 
 def not_assessed(space: SearchSpace, solution: Solution, why: str = "") -> Uncertainty:
-    """Return the uncertainty of a solution of which none is known, with the reason.
+    """Return an unknown uncertainty, with the reason.
 
     Parameters
     ----------
     space, solution
-        As for `assess`.
+        See `assess`.
     why
-        The reason; that derivatives are missing, if it is left out.
+        The reason; by default, that derivatives are missing.
     """
     bounds = active_bounds(space, solution.x)
     found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, bound) for bound in bounds)
@@ -173,7 +173,7 @@ def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncert
 def _diagonal(
     space: SearchSpace, system: ScaledJacobian, covariance: BlockCovariance
 ) -> FloatArray:
-    """Return the diagonal (unknowns,); NaN where held or part of an undetermined direction."""
+    """Return the diagonal (unknowns,); NaN for unknowns that are held or not determined."""
     result = np.full(space.size, np.nan)
     shared, coordinates = system.layout.shared, system.coordinates
     inside = ((coordinates @ covariance.shared) * coordinates).sum(axis=1)
@@ -214,19 +214,19 @@ def _derived(
     covariance: BlockCovariance,
     width: float,
 ) -> tuple[DerivedInterval, ...]:
-    """Return intervals by the delta method, without pairs of experiments' local unknowns."""
+    """Return intervals from the delta method, without covariances of local unknowns."""
     values = space.derived(x)
     if not values:
         return ()
     gradients = {label: np.zeros(space.size) for label in values}
-    for i in range(space.size):  # held ones too: they may be in undetermined directions
+    for i in range(space.size):  # also for held unknowns, which undetermined directions may contain
         step = np.cbrt(np.finfo(float).eps) * max(abs(float(x[i])), float(space.typical[i]))
         x_plus, x_minus = x.copy(), x.copy()
         x_plus[i] = min(x[i] + step, space.upper[i])
         x_minus[i] = max(x[i] - step, space.lower[i])
         plus, minus = space.derived(x_plus), space.derived(x_minus)
         for label in values:
-            # a value that is the same in all experiments may be so at x alone, by chance
+            # the label may be missing at the other points: values may be equal only at x, by chance
             change = plus.get(label, np.nan) - minus.get(label, np.nan)
             gradients[label][i] = change / (x_plus[i] - x_minus[i])
     found = []
@@ -240,7 +240,7 @@ def _derived(
 def _delta_method_error(
     system: ScaledJacobian, covariance: BlockCovariance, gradient: FloatArray
 ) -> float:
-    """Return the standard error of a function with this gradient by scaled unknowns."""
+    """Return the standard error of a function with this gradient in scaled unknowns."""
     lengths = np.linalg.norm(system.undetermined, axis=1) * np.linalg.norm(gradient)
     if (np.abs(system.undetermined @ gradient) > system.tolerance * lengths).any():
         return np.nan
@@ -286,7 +286,7 @@ def _noise_notes(
     errors: Mapping[NoiseBasis, FloatArray],
     basis: NoiseBasis,
 ) -> tuple[str, ...]:
-    """Say what the intervals allow for, and by how much, where the noise is not white."""
+    """Return a note on the noise model of the intervals, if the noise is not white."""
     if basis is NoiseBasis.WHITE:
         return ()
     chosen = layout.shared if basis is NoiseBasis.EXPERIMENTS else slice(None)

@@ -1,4 +1,4 @@
-"""Further simulations for derivatives at a solution: few, and on the same queue."""
+"""A few further simulations for derivatives at a solution, on the same queue."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ from workers.messages import FloatArray
 
 LEAST_STEP, LARGEST_STEP = 1e-3, 3e-2
 SUSPECT = 1e-2
-"""Directions up to this ratio are measured again. A kink in an equation, such as a dead zone's,
-makes an adaptive solver's result jump by more than its tolerance; over the step of a difference
-that looks as if the data determined, badly, what they do not determine at all.
+"""Largest ratio of directions that are measured again. A kink in an equation, such as that of a
+dead zone, makes the result of an adaptive solver jump by more than its tolerance. Over the step of
+a difference, an undetermined direction then looks badly determined.
 """
 DIRECTIONAL_STEP_LENGTHS = (1.0, 0.9, 0.7)
-"""Lengths of directional steps that are tried in this order: simulations of one may fail."""
+"""Relative lengths of directional steps, tried in this order because simulations may fail."""
 MOST_DIRECTION_ROUNDS = 3
 REPEATED_RATIO = 0.1
-"""Part of its old ratio below which a direction is measured once more."""
+"""Share of its old ratio below which a direction is measured again."""
 
 
 def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertainty:
-    """Return the uncertainty of a solution to first order, with the simulations that this takes.
+    """Return the uncertainty of a solution to first order, with the necessary simulations.
 
-    A solution without derivatives costs a central Jacobian. Directions in which the residuals seem
-    not to change cost four points each: along those the derivative is measured once more, with
-    steps so long that the sum of the columns' errors does not hide it.
+    A solution without derivatives needs a central Jacobian. Each direction along which the
+    residuals hardly change needs four points. The derivative along it is measured again, with a
+    step that is long compared with the errors of the columns.
 
     Parameters
     ----------
     runner
-        For the simulations.
+        Runs the simulations.
     space, solution
-        The space that was searched, and the solution.
+        The search space, and the solution.
     """
     solution = linearise(runner, space, solution)
     sharp, step = sharpen(runner, space, solution)
@@ -67,9 +67,9 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
 
 
 def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solution:
-    """Return the solution with its evaluation and its Jacobian, simulated where they are missing.
+    """Return the solution with its evaluation and its Jacobian; simulate if they are missing.
 
-    It is unchanged if the simulations fail.
+    If the simulations fail, the solution is returned unchanged.
     """
     if not np.isfinite(solution.cost):
         return solution
@@ -98,10 +98,10 @@ def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Sol
     Returns
     -------
     solution
-        With a Jacobian whose products with these directions are the measured ones.
+        The solution with a Jacobian whose products with these directions are the measured ones.
     steps : (unknowns,)
-        The relative step that was used; 0 if there was nothing to measure, and for the unknowns
-        that move along a direction which could not be measured.
+        The relative step; 0 if nothing was measured, and for unknowns in directions that could not
+        be measured.
     """
     system, steps = scaled_jacobian(space, solution, weak=SUSPECT), np.zeros(space.size)
     for _ in range(MOST_DIRECTION_ROUNDS):
@@ -123,10 +123,10 @@ def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Sol
 def _measured(
     runner: Runner, space: SearchSpace, solution: Solution, system: ScaledJacobian
 ) -> tuple[Solution, FloatArray] | None:
-    """Return the solution with measured derivatives, and the steps; None if that failed.
+    """Return the solution with measured derivatives, and the steps; None if this failed.
 
-    A direction along which bounds leave no room, or simulations fail, keeps the derivatives that
-    it has, and leaves the others theirs.
+    If bounds are too close along a direction, or simulations fail, its derivatives are kept. The
+    other directions are still measured.
     """
     matrix = jacobian_blocks(space, solution)
     assert matrix is not None
@@ -164,9 +164,9 @@ def _measured(
 def _lengths(
     space: SearchSpace, x: FloatArray, directions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the step along each direction, and the relative change by it.
+    """Return the step along each direction, and its relative change.
 
-    What moves less than rounding makes it move does not count as moving towards its bound.
+    Bounds of unknowns that change only by rounding errors are ignored.
     """
     noise = relative_noise(space.problem.model.solver)
     step = min(max(noise**0.2, LEAST_STEP), LARGEST_STEP)
@@ -188,9 +188,9 @@ def _lengths(
 def _corrected(
     matrix: BlockMatrix, system: ScaledJacobian, directions: FloatArray, products: FloatArray
 ) -> BlockMatrix:
-    """Return the Jacobian, least changed, that has the measured products with directions.
+    """Return the Jacobian with the measured products with directions, and the least change.
 
-    Columns of unknowns that do not act on an experiment stay 0 there.
+    Derivatives by unknowns that do not act on an experiment stay 0.
     """
     blocks = []
     for block, acting, rows in zip(matrix.blocks, matrix.columns, matrix.rows, strict=True):
@@ -203,7 +203,7 @@ def _corrected(
 
 @dataclass(frozen=True)
 class _CentralJacobian(Method):
-    """Evaluate the start and, if asked, a central Jacobian there."""
+    """Evaluates the start and, if requested, a central Jacobian there."""
 
     name: ClassVar[str] = "derivatives"
     needs_residuals: ClassVar[bool] = False
@@ -234,14 +234,14 @@ class _CentralJacobian(Method):
 
 @dataclass(frozen=True)
 class _DirectionalDifferences(Method):
-    """Directional derivatives of the residuals along some steps from the start, of fourth order.
+    """Computes fourth-order directional derivatives of the residuals at the start.
 
-    NaN where simulations fail, however often they are asked for.
+    They are NaN if simulations fail with all step lengths.
 
     Attributes
     ----------
     steps : (directions, unknowns)
-        Each is taken forwards and backwards, whole and by half.
+        Steps, which are taken forwards and backwards, with full and half length.
     """
 
     name: ClassVar[str] = "directions"

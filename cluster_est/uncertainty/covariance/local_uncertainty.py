@@ -131,7 +131,7 @@ def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, 
 def _how(
     labels: Sequence[str], weights: FloatArray, relative: FloatArray, grow: str, grows: str
 ) -> str:
-    """Say how the unknowns change together; `grow` and `grows` are the plural and singular verb."""
+    """Describe how the unknowns change together; `grow` and `grows` are the verb forms."""
     if np.all(np.abs(relative - 1.0) <= RATIO_TOLERANCE):
         return f"{'both' if len(labels) == 2 else 'all of them'} {grow} by the same factor"
     if len(labels) == 2 and abs(relative[1] + 1.0) <= RATIO_TOLERANCE:

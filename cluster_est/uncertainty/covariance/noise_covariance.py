@@ -1,23 +1,23 @@
-"""The covariance of estimates under white noise, autocorrelated noise, and scatter of experiments.
+"""The covariance of estimates for white noise, autocorrelated noise, and scatter of experiments.
 
-Least squares estimates have the covariance (J'J)^-1 J'SJ (J'J)^-1, S being that of the noise. Taken
-for S here are
+Least-squares estimates have the covariance (J'J)^-1 J'SJ (J'J)^-1, where S is the covariance of the
+noise. There are three models of S:
 
-- the variance of the residuals times 1: right for white noise alone;
-- an autoregression for each output (see `fit_noise`): right for noise that is correlated in
-  time, however few experiments there are;
-- the products of the residuals within each experiment: the sandwich of K.-Y. Liang, S. L. Zeger,
-  Biometrika 73 (1986) 13-22, doi:10.1093/biomet/73.1.13, with E / (E - 1) for E experiments and
-  E - 1 degrees of freedom. It sees all that makes experiments differ, but little of it where they
-  are few, and nothing of the unknowns that only one experiment has.
+- The variance of the residuals times the identity. It is correct only for white noise.
+- An autoregression for each output (see `fit_noise`). It is correct for noise that is correlated in
+  time, for any number of experiments.
+- The products of the residuals within each experiment. This is the sandwich of K.-Y. Liang, S. L.
+  Zeger, Biometrika 73 (1986) 13-22, doi:10.1093/biomet/73.1.13, with E / (E - 1) for E experiments
+  and E - 1 degrees of freedom. It includes all differences between experiments. It is inaccurate
+  for few experiments, and has no information on unknowns of a single experiment.
 
-The intervals are those of the autoregression, which is the first where the noise is white. The
-third takes its place where the experiments differ by more than chance.
+The intervals use the autoregression; for white noise, this is the first model. The third model
+replaces it if the experiments differ by more than chance.
 
-The autocovariances of the noise come from residuals that have lost some of it to the fit. Symbols:
-e the noise with covariance S, Q an orthonormal basis of the directions that were fitted, r = (1 -
-QQ') e the residuals, c_h the sums of r_t r_{t+h} over all records of an output, g_h the
-autocovariances of its noise, a the coefficients of the autoregression that they are given by.
+The autocovariances of the noise are estimated from residuals, from which the fit has removed a part
+of the noise. Symbols: e is the noise with covariance S, Q an orthonormal basis of the fitted
+directions, and r = (1 - QQ') e are the residuals. c_h are the sums of r_t r_{t+h} over all records
+of an output, g_h the autocovariances of its noise, and a the coefficients of its autoregression.
 """
 
 from __future__ import annotations
@@ -42,36 +42,36 @@ from workers.messages import FloatArray, IntArray
 
 LONGEST_ORDER = 20
 SAMPLES_PER_ORDER = 10
-"""Samples of the longest record for each order that is tried: over longer lags, what a fit has
-taken of the noise cannot be distinguished from what the noise lacks."""
+"""Least number of samples in the longest record for each order. At longer lags, the part of the
+noise that the fit removed cannot be determined."""
 PENALTY = 6.635
-"""Least gain for each further order: the 1 % level of a chi-square of one degree."""
+"""Least penalty for each further order: the 1 % level of chi-squared with one degree of freedom."""
 MOST_AUTOCOVARIANCE_ITERATIONS = 100
 SETTLED = 1e-3
-"""Change of the autocovariances, over the variance, at which they have settled."""
+"""Change of the autocovariances, over the variance, at which the iteration has converged."""
 NEGLIGIBLE_AUTOCOVARIANCE = 1e-6
-"""Autocovariances below this, over the variance, are 0 from there on."""
+"""Size of negligible autocovariances, over the variance."""
 REFLECTION = 0.999
-"""Largest partial autocorrelation: beyond it the variance of a noise is unknown."""
+"""Largest partial autocorrelation; above it, the variance of the noise cannot be determined."""
 MOST_PRODUCTS = 2e6
-"""Rows times fitted directions, above which what the fit took is not corrected for: so many rows
-lose too little for it to matter."""
+"""Largest number of rows times fitted directions for which the loss by the fit is corrected. With
+more rows, the loss is negligible."""
 
 
 @dataclass(frozen=True)
 class NoiseRecord:
-    """A record of one output: samples that follow each other in time.
+    """A record of one output, with samples in the order of time.
 
     Attributes
     ----------
     output
-        Which output.
+        Index of the output.
     residuals : (n,)
-        Over the square roots of their weights.
+        Weighted residuals.
     fitted : (n, k)
-        The record's rows of Q: of the shared directions, then of those of its experiment alone.
+        The record's rows of Q: first the shared directions, then those of its experiment.
     experiment
-        Which experiment.
+        Index of the experiment.
     """
 
     output: int
@@ -87,11 +87,11 @@ class AutoregressiveNoise:
     Attributes
     ----------
     coefficients : (order,)
-        a; none of them for white noise.
+        The coefficients a; empty for white noise.
     covariances : (lags,)
-        g_0, g_1, ..., up to where they are negligible.
+        g_0, g_1, ..., without negligible values at the end.
     variance_error
-        Relative variance of the estimate of the noise's spectrum at frequency 0.
+        Relative variance of the estimated spectrum of the noise at frequency 0.
     """
 
     coefficients: FloatArray
@@ -99,7 +99,7 @@ class AutoregressiveNoise:
     variance_error: float
 
     def times(self, columns: FloatArray) -> FloatArray:
-        """Return S times columns of one record."""
+        """Return S times the columns of one record."""
         length = len(columns)
         lags = self.covariances[:length]
         size = next_fast_len(length + len(lags), real=True)
@@ -113,16 +113,16 @@ class AutoregressiveNoise:
 def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, AutoregressiveNoise]:
     """Fit an autoregression to the noise of each output.
 
-    A fit follows the slow part of coloured noise, so that its residuals are less correlated than
-    the noise was. In expectation,
+    A fit follows the slow part of coloured noise, so the residuals are less correlated than the
+    noise. The expectation is
 
-        E c_h = tr(T_h (1 - QQ') S (1 - QQ')),    T_h the products at lag h,
+        E c_h = tr(T_h (1 - QQ') S (1 - QQ')),    T_h the products at lag h.
 
-    which is solved for S by iteration: the difference of E c_h and of what c_h would be without
-    the fit is added to the c_h that were seen (the moments of restricted maximum likelihood; H. D.
-    Patterson, R. Thompson, Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545). The order
-    has the least n log s^2 + max(log n, 6.6) p (G. Schwarz, Ann. Stat. 6 (1978) 461-464,
-    doi:10.1214/aos/1176344136, with no more than one white output in a hundred called coloured).
+    It is solved for S by iteration: the expected loss of c_h by the fit is added to the measured
+    c_h. These are the moments of restricted maximum likelihood (H. D. Patterson, R. Thompson,
+    Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545). The order p minimises
+    n log s^2 + max(log n, 6.6) p (G. Schwarz, Ann. Stat. 6 (1978) 461-464,
+    doi:10.1214/aos/1176344136). So at most one of a hundred white outputs is found to be coloured.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, Autoregr
 
 @dataclass(frozen=True)
 class _Products:
-    """c_h of one output, how many products each is the sum of, and its longest record's samples."""
+    """The sums c_h of an output, their numbers of products, and its longest record's length."""
 
     sums: FloatArray
     counts: FloatArray
@@ -169,7 +169,7 @@ class _Products:
         return len(self.sums)
 
     def noise(self, lost: FloatArray | float) -> AutoregressiveNoise:
-        """Return the autoregression of the best order, `lost` being what the fit took of c_h."""
+        """Return the autoregression of the best order; `lost` is the loss of c_h by the fit."""
         covariances = (self.sums + lost) / self.counts
         count = self.counts[0]
         penalty = max(float(np.log(count)), PENALTY)
@@ -187,7 +187,7 @@ class _Products:
 def _predictors(covariances: FloatArray) -> list[tuple[FloatArray, float]]:
     """Return the predictors of order 0, 1, ... and the variances of their errors.
 
-    The Levinson-Durbin recursion, up to the first order that is not stationary.
+    This is the Levinson-Durbin recursion. It ends at the first order that is not stationary.
     """
     coefficients, variance = np.zeros(0), float(covariances[0])
     if not variance > 0.0:
@@ -205,7 +205,7 @@ def _predictors(covariances: FloatArray) -> list[tuple[FloatArray, float]]:
 
 
 def _extended(coefficients: FloatArray, covariances: FloatArray, longest: int) -> FloatArray:
-    """Return g_h of an autoregression at all lags of a record, or to where they stay negligible."""
+    """Return g_h of an autoregression at all lags of a record, without a negligible end."""
     order = len(coefficients)
     known = covariances[: order + 1]
     if not order:
@@ -213,7 +213,7 @@ def _extended(coefficients: FloatArray, covariances: FloatArray, longest: int) -
     size = max(longest, order + 1)
     bands = np.tile(np.append(1.0, -coefficients)[:, None], size)
     for lag in range(1, order + 1):
-        bands[lag, : order + 1 - lag] = 0.0  # rows of what is known
+        bands[lag, : order + 1 - lag] = 0.0  # rows of known values
     found = solve_banded((order, 0), bands, np.append(known, np.zeros(size - order - 1)))
     felt = np.flatnonzero(np.abs(found) >= NEGLIGIBLE_AUTOCOVARIANCE * found[0])
     return found[: max(int(felt[-1]) + 1, order + 1)] if len(felt) else known
@@ -224,8 +224,9 @@ def _spectrum_error(
 ) -> float:
     """Return the relative variance of s^2 / (1 - a_1 - ... - a_p)^2, to first order.
 
-    The estimates of a have the covariance s^2 G^-1 / n, G having g_|i-j|: P. J. Brockwell, R. A.
-    Davis, Time Series: Theory and Methods (1991), doi:10.1007/978-1-4419-0320-4, section 8.1.
+    The estimates of a have the covariance s^2 G^-1 / n, where G has the entries g_|i-j| (P. J.
+    Brockwell, R. A. Davis, Time Series: Theory and Methods (1991), doi:10.1007/978-1-4419-0320-4,
+    section 8.1).
     """
     order = len(coefficients)
     own = 2.0 / count
@@ -242,7 +243,7 @@ def _lost_products(
     shared: int,
     lags: dict[int, int],
 ) -> dict[int, FloatArray]:
-    """Return how much less than without a fit c_h of each output is in expectation."""
+    """Return the expected loss of c_h by the fit, for each output."""
     products = [noise[record.output].times(record.fitted) for record in records]
     forms: dict[int, FloatArray] = {}
     common = np.zeros((shared, shared))
@@ -265,7 +266,7 @@ def _lost_products(
 
 
 def _correlated(one: FloatArray, other: FloatArray, lags: int) -> FloatArray:
-    """Return the sums over rows and columns of one_t other_{t+h}, h = 0 ... lags - 1."""
+    """Return the sums over rows and columns of one_t other_{t+h} for h = 0 to lags - 1."""
     size = next_fast_len(len(one) + lags, real=True)
     spectra = rfft(one, size, axis=0).conj() * rfft(other, size, axis=0)
     return np.asarray(irfft(spectra.sum(axis=1), size)[:lags])
@@ -279,15 +280,15 @@ def _close(one: AutoregressiveNoise, other: AutoregressiveNoise) -> bool:
 
 
 FEW_EXPERIMENTS = 10
-"""Below so many experiments their scatter is reported, but no interval rests on it."""
+"""Least number of experiments for intervals from their scatter; with fewer, it is only reported."""
 NOISE_OF_PRIORS = AutoregressiveNoise(np.zeros(0), np.ones(1), 0.0)
-"""The noise of priors: a variance of 1, that nothing was estimated for."""
+"""The noise of priors: a known variance of 1."""
 SCATTER_SIGNIFICANCE = 0.01
-"""Probability of as much scatter of the experiments, over that of the noise, by chance."""
+"""Largest p-value of the scatter of experiments for which intervals use it."""
 
 
 class NoiseBasis(StrEnum):
-    """What the standard errors rest on."""
+    """The noise model of the standard errors."""
 
     WHITE = "white"
     AUTOREGRESSION = "autoregression"
@@ -296,7 +297,7 @@ class NoiseBasis(StrEnum):
 
 @dataclass(frozen=True)
 class EstimateCovariance:
-    """The covariance of scaled unknowns, and the degrees of freedom of its size."""
+    """The covariance of scaled unknowns, and its degrees of freedom."""
 
     basis: NoiseBasis
     blocks: BlockCovariance = field(repr=False)
@@ -305,18 +306,18 @@ class EstimateCovariance:
 
 @dataclass(frozen=True)
 class WeightedResiduals:
-    """Residuals over the square roots of their weights, as the factorised Jacobian has its rows.
+    """Residuals with the row weights of the factorised Jacobian.
 
     Attributes
     ----------
     values : (n,)
-        None of them where they are not known.
+        Weighted residuals; empty if they are not known.
     outputs : (n,)
-        The output of each.
+        Output of each residual.
     rows
-        Of each experiment.
+        Rows of each experiment.
     priors : (n,)
-        Whether each is that of a prior, whose standard deviation is 1.
+        Whether each residual is that of a prior, whose standard deviation is 1.
     """
 
     values: FloatArray
@@ -328,7 +329,7 @@ class WeightedResiduals:
 def white_covariance(
     factors: BlockFactors, spread: Sequence[FloatArray] | None, variance: float, degrees: int
 ) -> EstimateCovariance:
-    """Return the covariance for white noise; `spread` as in `weighting.ResidualScatter`."""
+    """Return the covariance for white noise; for `spread`, see `system.ResidualScatter`."""
     diagonals = None if spread is None else [_diagonal(row) for row in spread]
     blocks = block_covariance(factors, diagonals).times(variance)
     return EstimateCovariance(NoiseBasis.WHITE, blocks, degrees)
@@ -337,9 +338,9 @@ def white_covariance(
 def coloured_covariances(
     white: EstimateCovariance, factors: BlockFactors, residuals: WeightedResiduals
 ) -> tuple[EstimateCovariance, ...]:
-    """Return the covariances that do not take the noise for white, as far as there are any.
+    """Return the covariances for noise that is not white, if there are any.
 
-    The one for autocorrelated noise is left out where no output's noise is.
+    The covariance for autocorrelated noise is left out if the noise of no output is autocorrelated.
     """
     if not len(residuals.values) or not white.degrees > 0:
         return ()
@@ -355,7 +356,7 @@ def coloured_covariances(
 
 
 def most_honest(covariances: Sequence[EstimateCovariance]) -> EstimateCovariance:
-    """Return the covariance that the intervals are made of; the first is that of white noise."""
+    """Return the covariance for the intervals; the first argument is that of white noise."""
     noise = [each for each in covariances if each.basis is not NoiseBasis.EXPERIMENTS][-1]
     last = covariances[-1]
     if last.basis is not NoiseBasis.EXPERIMENTS or last.degrees + 1 < FEW_EXPERIMENTS:
@@ -368,14 +369,14 @@ def most_honest(covariances: Sequence[EstimateCovariance]) -> EstimateCovariance
 
 
 def _basis(factors: BlockFactors) -> FloatArray:
-    """Return F with F F' = `factors.inverse`, so that `rest` F is orthonormal."""
+    """Return F with F F' equal to `factors.inverse`, so that `rest` F is orthonormal."""
     values, vectors = np.linalg.eigh(factors.inverse)
     kept = values > 1e-14 * max(values.max(initial=0.0), 0.0)
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
 def _records(factors: BlockFactors, residuals: WeightedResiduals) -> list[NoiseRecord]:
-    """Cut the residuals into records, each with its rows of the directions that were fitted."""
+    """Split the residuals into records, each with its rows of the fitted directions."""
     basis = _basis(factors)
     found = []
     for e, (part, rows) in enumerate(zip(factors.parts, residuals.rows, strict=True)):
@@ -412,10 +413,11 @@ def _autoregressive(
 def _scatter(
     noise: EstimateCovariance, factors: BlockFactors, residuals: WeightedResiduals
 ) -> EstimateCovariance | None:
-    """Return the covariance from the scatter of the experiments; None where it says nothing.
+    """Return the covariance from the scatter of the experiments; None if it is not available.
 
-    What the noise alone says of unknowns that one experiment has stays; they follow the others.
-    Priors pull all experiments one way, so that with them the scatter is no error.
+    Unknowns of a single experiment keep their covariance from the noise, plus the change that comes
+    from the shared unknowns. With priors, the scatter is not available, because priors shift the
+    estimates of all experiments in the same direction.
     """
     count, unknowns = len(factors.parts), len(factors.inverse)
     if not unknowns or count <= unknowns + 1 or residuals.priors.any():
@@ -442,7 +444,7 @@ def _diagonal(values: FloatArray) -> Callable[[FloatArray], FloatArray]:
 def _autocorrelated(
     records: Sequence[tuple[AutoregressiveNoise, int]],
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return the product with the covariance of one experiment's records."""
+    """Return a function that multiplies by the covariance of one experiment's records."""
 
     def product(columns: FloatArray) -> FloatArray:
         result, first = np.empty_like(columns), 0

@@ -1,12 +1,13 @@
 """The normal equations of shared and local unknowns, solved experiment by experiment.
 
-An unknown is held at a bound, shared by experiments, or local to one. The residuals of an
-experiment depend on the shared unknowns and on its own. So the Jacobian is a column of blocks
-(A_e, B_e), and its local parts are eliminated one block at a time: the part of A_e orthogonal to
-B_e has all information of an experiment on the shared unknowns. Memory grows with the blocks, not
-with the square of all unknowns; the result is that of the dense (J'J)^-1 (A. Bjorck, Numerical
-Methods for Least Squares Problems (1996), doi:10.1137/1.9781611971484, section 6.3). Singular value
-decompositions take the place of QR, to find what the data do not determine.
+An unknown is held at a bound, shared by experiments, or local to one experiment. The residuals of
+an experiment depend on the shared unknowns and on its local unknowns. So the Jacobian is a column
+of blocks (A_e, B_e), and the local parts are eliminated one block at a time. The part of A_e
+orthogonal to B_e contains all information of an experiment on the shared unknowns. The memory is
+proportional to the blocks, not to the square of the number of unknowns. The result is that of the
+dense (J'J)^-1 (A. Bjorck, Numerical Methods for Least Squares Problems (1996),
+doi:10.1137/1.9781611971484, section 6.3). Singular value decompositions are used instead of QR, to
+find directions that the data do not determine.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from cluster_est.uncertainty.covariance import accuracy
 from workers.messages import FloatArray, IntArray
 
 REPORTED_RATIO_MARGIN = 3.0
-"""Factor of its limit: a direction whose ratio is below their product is reported."""
+"""Ratio of a direction over its limit, below which the direction is reported."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,9 @@ class JacobianBlock:
     Attributes
     ----------
     shared : (n, shared)
-        Derivatives for the shared unknowns, or for coordinates that stand for them.
+        Derivatives for the shared unknowns, or for their coordinates.
     local : (n, local)
-        For its own; all columns are scaled to about 1.
+        Derivatives for the local unknowns. All columns are scaled to a length of about 1.
     """
 
     shared: FloatArray
@@ -46,18 +47,18 @@ class JacobianBlock:
 
 @dataclass(frozen=True)
 class ErrorLimits:
-    """The error of the product of the Jacobian and a unit vector.
+    """Limits for the error of the product of the Jacobian and a unit vector.
 
-    For a vector v it is |limits * v|.
+    The error for a vector v is |limits * v|.
 
     Attributes
     ----------
     shared : (m,)
-        One for each shared unknown.
+        Limits of the shared unknowns.
     local
-        For each block, one for each of its local unknowns.
+        For each block, limits of its local unknowns.
     embedding : (m, shared)
-        From the blocks' shared coordinates to the shared unknowns.
+        Matrix from the blocks' shared coordinates to the shared unknowns.
     """
 
     shared: FloatArray
@@ -72,13 +73,13 @@ class UndeterminedCombination:
     Attributes
     ----------
     shared : (m,)
-        Its part in the shared unknowns.
+        Components of the shared unknowns.
     local
-        Its part in each block's local unknowns; empty arrays where it has none.
+        Components of each block's local unknowns; empty arrays for blocks without components.
     ratio
-        Change of the residuals along it, over the changes by its unknowns on their own.
+        Change of the residuals along the direction, over the changes by each single unknown.
     limit
-        The ratio that the error of the derivatives alone may cause.
+        The ratio that errors of the derivatives may cause.
     """
 
     shared: FloatArray
@@ -88,7 +89,7 @@ class UndeterminedCombination:
 
     @property
     def undetermined(self) -> bool:
-        """True if the ratio cannot be distinguished from 0."""
+        """Whether the ratio cannot be distinguished from 0."""
         return self.ratio <= self.limit
 
 
@@ -96,10 +97,18 @@ class UndeterminedCombination:
 class _EliminatedBlock:
     """A block without its local unknowns.
 
-    `inverse` (local, n) is the pseudo-inverse of its local part B, `response` (local, shared) is
-    `inverse` A, minus the change of the local unknowns with the shared ones, `rest` (n, shared) the
-    part of A orthogonal to B, and `projector` (local, local) projects on the local directions that
-    are determined well.
+    Attributes
+    ----------
+    inverse : (local, n)
+        Pseudo-inverse of the local part B.
+    response : (local, shared)
+        `inverse` A: minus the change of the local unknowns with the shared ones.
+    projector : (local, local)
+        Projection on the well-determined local directions.
+    rest : (n, shared)
+        The part of A orthogonal to B.
+    rank
+        Number of local directions that the block determines.
     """
 
     inverse: FloatArray
@@ -120,7 +129,7 @@ class BlockFactors:
     rank
         Number of directions that the data determine.
     combinations
-        Directions that they do not determine, or hardly.
+        Directions that the data do not determine, or hardly.
     """
 
     inverse: FloatArray
@@ -131,15 +140,15 @@ class BlockFactors:
 
 @dataclass(frozen=True)
 class BlockCovariance:
-    """The covariance of shared coordinates and local unknowns, without pairs of other blocks.
+    """The covariance of shared coordinates and local unknowns, without pairs from two blocks.
 
     Attributes
     ----------
     shared : (shared, shared)
     cross
-        For each block (local, shared).
+        One matrix (local, shared) for each block.
     local
-        For each block (local, local).
+        One matrix (local, local) for each block.
     """
 
     shared: FloatArray
@@ -156,17 +165,17 @@ class BlockCovariance:
 
 
 def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float) -> BlockFactors:
-    """Eliminate the local unknowns of each block and join the rest.
+    """Eliminate the local unknowns of each block, and join the remaining parts.
 
     Parameters
     ----------
     blocks
-        All with the same shared coordinates.
+        Blocks with the same shared coordinates.
     limits
-        A direction is undetermined if its ratio is not above them, and is left out then.
+        A direction whose ratio does not exceed them is undetermined and is left out.
     weak
-        Directions up to this ratio, or up to `REPORTED_RATIO_MARGIN` times their limit, are
-        reported too.
+        Directions up to this ratio, or up to `REPORTED_RATIO_MARGIN` times their limit, are also
+        reported.
     """
     width = limits.embedding.shape[1]
     parts: list[_EliminatedBlock] = []
@@ -204,9 +213,9 @@ def block_covariance(
     Parameters
     ----------
     factors
-        Of J.
+        Factors of J.
     noise
-        For each block, the product of S and some columns; S connects no two blocks.
+        For each block, a function that multiplies columns by S, which is block diagonal.
     """
     if noise is None:
         shared = factors.inverse
@@ -236,7 +245,10 @@ def block_covariance(
 def _eliminate(
     block: JacobianBlock, limits: FloatArray, weak: float
 ) -> tuple[_EliminatedBlock, FloatArray, FloatArray, list[float]]:
-    """Eliminate a block's local unknowns; return it, and ratios, vectors, limits of bad ones."""
+    """Eliminate a block's local unknowns.
+
+    Return the block, and the ratios, vectors and limits of badly determined local directions.
+    """
     count = block.local.shape[1]
     left, singular, rows = np.linalg.svd(block.local, full_matrices=False)
     if len(singular) < count:  # fewer residuals than local unknowns
@@ -249,7 +261,7 @@ def _eliminate(
     basis = left[:, kept]
     inverse = (rows[kept].T / singular[kept]) @ basis.T
     rest = block.shared
-    for _ in range(2):  # once leaves rounding errors along what was removed
+    for _ in range(2):  # twice, because one projection leaves rounding errors
         rest = rest - basis @ (basis.T @ rest)
     projector = rows[~bad].T @ rows[~bad]
     part = _EliminatedBlock(inverse, inverse @ block.shared, projector, rest, int(kept.sum()))
@@ -266,7 +278,7 @@ def _complete(
 ) -> UndeterminedCombination:
     """Return a direction of the shared coordinates, with the response of the local unknowns.
 
-    Directions that are badly determined within a block are reported of their own and left out here.
+    Local directions that a block determines badly are reported separately and left out here.
     """
     shared = limits.embedding @ row
     local = [-part.projector @ (part.response @ row) for part in parts]
@@ -278,12 +290,11 @@ def _complete(
 
 
 AT_BOUND = 1e-6
-"""Part of an unknown's scale: closer to a bound than this, it counts as held there."""
+"""Distance from a bound, over an unknown's scale, below which the unknown is held at the bound."""
 MUCH_SMALLER_SCALE = 1e-2
-"""Part of the typical size: the scale that the Jacobian shows counts where it is below this
-part."""
+"""Scale from the Jacobian, over the typical size, below which it replaces the typical size."""
 DETERMINED_BY_CONSTRAINTS = 1e-9
-"""Part of an unknown's column below which active constraints determine it."""
+"""Length of an unknown's row in the coordinates below which active constraints determine it."""
 
 
 ActiveBound = Literal["", "lower", "upper"]
@@ -296,16 +307,16 @@ class UnknownLayout:
     Attributes
     ----------
     active_bounds
-        For each unknown the bound that holds it, or "".
+        For each unknown, the bound at which it is held, or "".
     shared
-        Free unknowns that several experiments may depend on. An active constraint on local
-        unknowns makes them shared.
+        Free unknowns on which several experiments may depend. Local unknowns in an active
+        constraint count as shared.
     local
-        For each experiment, its free unknowns.
+        For each experiment, its free local unknowns.
     active
         Names of the active constraints on parameters.
     constraint_jacobian : (active, shared)
-        Their derivatives.
+        Derivatives of the active constraints.
     ignored
         Names of active constraints on signals, whose derivatives are not known.
     """
@@ -321,10 +332,10 @@ class UnknownLayout:
 def active_bounds(
     space: SearchSpace, x: FloatArray, jacobian: BlockMatrix | None = None
 ) -> tuple[ActiveBound, ...]:
-    """Return the bound that each unknown is at, or "".
+    """Return the bound at which each unknown is held, or "".
 
-    Wide bounds, or a start of 0, say little of an unknown's scale. Where the Jacobian is known, a
-    change that would change the residuals by all that was measured is not much smaller than it.
+    Wide bounds, or a start of 0, do not determine an unknown's scale. If the Jacobian is known, the
+    scale is at most about the change that changes the residuals by the size of the measurements.
     """
     scale = space.typical
     outputs = accuracy.output_norm(space)
@@ -338,7 +349,7 @@ def active_bounds(
 
 
 def is_shared(space: SearchSpace) -> npt.NDArray[np.bool_]:
-    """Return (unknowns,): True if declared for all experiments, or acting on several."""
+    """Return a mask of unknowns that are declared for all experiments or act on several ones."""
     declared = np.array([u.parameter.per is None for u in space.unknowns], dtype=bool)
     several = np.array([len(u.experiments) > 1 for u in space.unknowns], dtype=bool)
     return np.asarray(declared | several)
@@ -352,9 +363,9 @@ def unknown_layout(
     held: bool = True,
     jacobian: BlockMatrix | None = None,
 ) -> UnknownLayout:
-    """Return the layout at a point whose constraints have these values, of which some may lack.
+    """Return the layout at a point whose constraints have these values; some may be missing.
 
-    Unknowns at a bound are free too if not `held`.
+    If `held` is false, unknowns at a bound are free.
     """
     at_bounds = active_bounds(space, x, jacobian)
     if not held:
@@ -382,9 +393,9 @@ def unknown_layout(
 
 
 def null_space(jacobian: FloatArray) -> FloatArray:
-    """Return (shared, coordinates): an orthonormal basis of the constraints' null space.
+    """Return an orthonormal basis of the constraints' null space: (shared, coordinates).
 
-    Their Jacobian is in units of the scaled unknowns.
+    The Jacobian of the constraints is in units of the scaled unknowns.
     """
     count = jacobian.shape[1]
     if not len(jacobian) or not count:
@@ -416,7 +427,7 @@ def has_jacobian(solution: Solution) -> bool:
 
 
 def jacobian_blocks(space: SearchSpace, solution: Solution) -> BlockMatrix | None:
-    """Return the Jacobian in blocks; None where the solution has none."""
+    """Return the Jacobian in blocks; None if the solution has none."""
     dense = solution.jacobian
     if dense is None:
         return solution.block_jacobian
@@ -426,7 +437,7 @@ def jacobian_blocks(space: SearchSpace, solution: Solution) -> BlockMatrix | Non
 
 
 def with_jacobian(solution: Solution, jacobian: BlockMatrix) -> Solution:
-    """Return the solution with another Jacobian, in the form of its own."""
+    """Return the solution with another Jacobian, in the same form as before."""
     if solution.jacobian is None:
         return replace(solution, block_jacobian=jacobian)
     return replace(solution, jacobian=jacobian.dense())

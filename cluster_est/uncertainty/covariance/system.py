@@ -1,19 +1,18 @@
 """The weighted, scaled and factorised Jacobian at a solution, and undetermined directions.
 
-The weights of its rows, and the scatter of the residuals, follow from the cost. A cost F has the
-gradient 2 J'psi with psi = w r (`Cost.weights`), so the covariance of its minimum is that of an
-M-estimator, A^-1 B A^-1 with A = J' diag(psi') J and B = J' diag(psi^2) J: P. J. Huber, Robust
-Statistics (1981), doi:10.1002/0471725250, section 7.6. Two forms of it are used:
+The weights of its rows and the scatter of the residuals follow from the cost. A cost F has the
+gradient 2 J'psi with psi = w r (`Cost.weights`). So the covariance of its minimum is that of an
+M-estimator, A^-1 B A^-1 with A = J' diag(psi') J and B = J' diag(psi^2) J (P. J. Huber, Robust
+Statistics (1981), doi:10.1002/0471725250, section 7.6). Two forms of it are used:
 
-- Weights that are the same for all residuals of an output in an experiment are taken for what they
-  stand for, 1 / sigma^2. Then psi' = w, and with s^2 = r'Wr / (n - k) the covariance is
-  s^2 (J'WJ)^-1, the usual one. So it is for the sum of squares, and for the Gaussian likelihood
-  with estimated sigmas, where s^2 comes out near 1.
-- Weights that differ from residual to residual are those of a robust cost. A large residual has a
-  small weight because it is large, not because it was measured less well, and the usual form would
+- Weights that are the same for all residuals of an output in an experiment mean 1 / sigma^2. Then
+  psi' = w. With s^2 = r'Wr / (n - k), the covariance is the usual s^2 (J'WJ)^-1. This applies to
+  the sum of squares, and to the Gaussian likelihood with estimated sigmas, for which s^2 is near 1.
+- Weights that differ between residuals are those of a robust cost. A large residual has a small
+  weight because it is large, not because its measurement is less accurate. So the usual form would
   be too narrow. psi' and psi^2 are then averaged over the residuals of each output, with Huber's
-  correction 1 + (k / n) var(psi') / mean(psi')^2 for few residuals: the sandwich under the
-  assumption that all residuals of an output scatter alike.
+  correction 1 + (k / n) var(psi') / mean(psi')^2 for few residuals. This is the sandwich under the
+  assumption that all residuals of an output have the same scatter.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ from workers.messages import FloatArray, IntArray
 
 EQUAL = 1e-9
 PSI_STEP = 1e-4
-"""Step to differentiate psi, as a part of the median residual."""
+"""Step to differentiate psi, over the median absolute residual."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +65,11 @@ class ResidualScatter:
     Attributes
     ----------
     variance
-        s^2. A rise of the cost is to be compared with it too.
+        The variance s^2, which is also the scale for increases of the cost.
     degrees
-        n - k.
+        The degrees of freedom n - k.
     spread : (residuals,) or None
-        None for 1 everywhere.
+        Relative variances of the residuals; None if all are 1.
     """
 
     variance: float
@@ -88,21 +87,21 @@ class RowWeighting:
     Attributes
     ----------
     factor : (residuals,)
-        Of each row of the Jacobian: sqrt(w), or the root of the mean psi'.
+        Factor of each row of the Jacobian: sqrt(w), or the square root of the mean psi'.
     robust
-        True if the weights are those of a robust cost.
+        Whether the weights are those of a robust cost.
     problem
         The reason why there is no covariance; "" if there is one.
     squares, psi_derivatives, groups : (residuals,)
-        w r^2; of a robust cost psi^2, psi' and the output of each residual.
+        w r^2; for a robust cost psi^2, psi' and the output of each residual.
     residuals : (residuals,)
-        sqrt(w) r, or psi over `factor`: what J'J and the rows of J make the estimates' errors of.
+        sqrt(w) r, or psi over `factor`; the errors of the estimates follow from them.
     priors : (residuals,)
-        Whether each is that of a prior, whose standard deviation is known: it scatters by 1, also
-        where the measurements scatter by more than their sigmas. None where there are none.
+        Whether each residual is that of a prior. Its standard deviation is 1, even if the
+        measurements scatter by more than their sigmas. None without priors.
     hidden
-        Number of values below a detection limit, whose residuals have no scatter of their own: the
-        noise is then taken for what it was said to be.
+        Number of values below a detection limit, whose residuals have no scatter. If there are any,
+        the noise is assumed to be the declared one.
     """
 
     factor: FloatArray
@@ -149,11 +148,11 @@ def row_weighting(
     Parameters
     ----------
     cost
-        The cost that was minimised.
+        The minimised cost.
     residuals, outputs
-        At the solution, and the output of each; no outputs where they are not known.
+        Residuals at the solution, and the output of each; no outputs if they are not known.
     rows
-        Of each experiment's residuals.
+        Rows of each experiment's residuals.
     """
     count = len(residuals)
     weights = cost.weights(residuals, outputs)
@@ -190,10 +189,10 @@ def _constant_in_groups(weights: FloatArray, groups: IntArray, rows: Sequence[sl
 
 
 def _psi_derivatives(cost: Cost, residuals: FloatArray, outputs: IntArray) -> FloatArray:
-    """Return d psi / d r, by central differences.
+    """Return d psi / d r from central differences.
 
-    Every second residual has a step of the other sign, so that a scale that the cost takes from the
-    residuals stays what it is.
+    The steps have alternating signs, so a scale that the cost computes from the residuals does not
+    change.
     """
     step = PSI_STEP * (float(np.median(np.abs(residuals))) or 1.0)
     steps = np.where(np.arange(len(residuals)) % 2 == 0, step, -step)
@@ -205,9 +204,9 @@ def _psi_derivatives(cost: Cost, residuals: FloatArray, outputs: IntArray) -> Fl
 
 
 WEAK = 1e-6
-"""Directions up to this ratio are named as hardly determined."""
+"""Largest ratio of directions that are reported as hardly determined."""
 ROUNDING_OF_DIRECTION = 1e-6
-"""Part of an unknown in a direction below which it is rounding."""
+"""Component of an unknown in a direction below which it is rounding error."""
 ORDINAL = (
     "for an ordinal output, only the order of the values is known, so the distances to the limits "
     "of the categories do not reveal its noise"
@@ -221,26 +220,26 @@ class ScaledJacobian:
     Attributes
     ----------
     layout, unbounded_layout
-        The free unknowns, shared and local; and the same without regard to bounds.
+        The free unknowns, shared and local, with and without regard to bounds.
     scale : (unknowns,)
-        Norms of the weighted columns; 1 for those that are 0.
+        Norms of the weighted columns; 1 for columns of zeros.
     coordinates : (shared, coordinates)
         A basis of the shared unknowns' changes that satisfy the active constraints.
     factors
         The eliminated blocks.
     covariance
-        Of the estimates, for white noise.
+        Covariance of the estimates for white noise.
     uniform
-        Covariance of the estimates if priors scattered as the measurements do; None without priors.
+        Covariance of the estimates if priors scattered like the measurements; None without priors.
     residuals
-        For what else the noise may be taken for.
+        Weighted residuals for other noise models.
     combinations
-        Directions that the data do not determine, or hardly, without regard to bounds: a search
-        goes along such a direction until it meets a bound, which determines nothing either.
+        Directions that the data do not determine, or hardly, without regard to bounds. A search may
+        follow such a direction up to a bound, which does not determine it either.
     undetermined : (directions, unknowns)
         Directions that the data do not determine.
     tolerance
-        Components of `undetermined` up to this are errors of the derivatives.
+        Size of the components of `undetermined` that are errors of the derivatives.
     """
 
     layout: UnknownLayout
@@ -271,14 +270,14 @@ def factorised_jacobian(
     Parameters
     ----------
     space, solution
-        The space, and the solution with a Jacobian.
+        The search space, and the solution with a Jacobian.
     layouts
         `ScaledJacobian.layout` and `ScaledJacobian.unbounded_layout`.
     measured_step
-        The relative step with which undetermined directions were measured, of each unknown or of
-        all; 0 if they were not.
+        The relative step with which undetermined directions were measured, for each unknown or for
+        all; 0 if they were not measured.
     weak
-        Ratio up to which a direction counts as hardly determined.
+        Largest ratio of a hardly determined direction.
     """
     jacobian = jacobian_blocks(space, solution)
     assert jacobian is not None
@@ -326,7 +325,7 @@ def _scaled(
     norms = matrix.norms()
     scale = np.where(norms > 0.0, norms, 1.0)
     limits = _limits(space, solution, weighting, norms, measured_step)
-    noise = limits >= 1.0  # such columns would mix with others that are determined
+    noise = limits >= 1.0  # such columns would disturb columns of determined unknowns
     limits[noise] = accuracy.ROUNDING_OF_DERIVATIVES
     return matrix.divided_columns(np.where(noise, np.inf, scale)), limits, scale
 
@@ -352,7 +351,7 @@ def _factorise(
 def directions(
     space: SearchSpace, x: FloatArray, system: ScaledJacobian
 ) -> tuple[UndeterminedDirection, ...]:
-    """Return the directions that the data do not determine, then those that they hardly do."""
+    """Return the directions that the data do not determine, then the hardly determined ones."""
     undetermined = [c for c in system.combinations if c.undetermined]
     weak = [c for c in system.combinations if not c.undetermined]
     ratio = max((c.ratio for c in undetermined), default=0.0)
@@ -370,7 +369,7 @@ def directions(
 def vectors(
     space: SearchSpace, layout: UnknownLayout, combinations: Sequence[UndeterminedCombination]
 ) -> FloatArray:
-    """Return (combinations, unknowns): combinations in the order of the space's unknowns."""
+    """Return combinations in the order of the space's unknowns: (combinations, unknowns)."""
     result = np.zeros((len(combinations), space.size))
     for row, combination in zip(result, combinations, strict=True):
         row[layout.shared] = combination.shared
@@ -392,7 +391,7 @@ def _weighting(
         if space.has_ordinal_values:
             weighting = replace(weighting, problem=ORDINAL)
         return replace(weighting, hidden=space.hidden_values), rows
-    # a sum of squares needs no more than its value
+    # for a sum of squares, its value suffices
     squares = np.full(count, solution.cost / max(count, 1))
     problem = ORDINAL if space.has_ordinal_values else ""
     return RowWeighting(np.ones(count), problem=problem, squares=squares), list(space.rows)
@@ -401,7 +400,7 @@ def _weighting(
 def _weighted_residuals(
     space: SearchSpace, weighting: RowWeighting, rows: Sequence[slice]
 ) -> WeightedResiduals:
-    """Return the residuals as the Jacobian is weighted, none where they are not known."""
+    """Return the residuals with the weights of the Jacobian; none if they are not known."""
     values = np.zeros(0) if weighting.residuals is None else weighting.residuals
     outputs = space.outputs if len(space.outputs) == len(values) else np.zeros(len(values), int)
     priors = np.zeros(len(values), bool) if weighting.priors is None else weighting.priors

@@ -1,4 +1,4 @@
-"""Formats of files with measurements. A new one is a file here and a line in FORMATS."""
+"""Formats of files with measurements. A new format is a file here and a line in FORMATS."""
 
 from cluster_est.problem.tables.formats.arrow_files import Feather, Parquet
 from cluster_est.problem.tables.formats.delimited import DelimitedText
@@ -24,4 +24,4 @@ FORMATS: tuple[TableFormat, ...] = (
     FmuReferences(),
 )
 ENDINGS = {ending: each for each in FORMATS for ending in each.endings}
-"""Formats by the ending of a file's name."""
+"""Formats by file extension."""

@@ -1,7 +1,7 @@
-"""Arrays of a file as columns, and their times.
+"""Converts the arrays of a file to columns, and assigns their times.
 
-A vector is a column, and a matrix has one for each of its signals. Groups of channels and fields of
-structures may have times of their own, each at another rate.
+A vector is a column, and a matrix has a column for each of its signals. Groups of channels and
+fields of structures may have their own times at different rates.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from cluster_est.problem.tables.measured_table import Column, MeasuredTable
 from workers.messages import FloatArray
 
 TIME_NAMES = ("time", "t", "times", "zeit", "timestamp", "timestamps")
-"""Names, in small letters, of what is the time of all beside it."""
+"""Usual names, in lower case, of the times of all columns in the same group."""
 MOST_MATRIX_SIGNALS = 1000
-"""Signals in a matrix, which has fewer signals than samples."""
+"""Largest number of signals in a matrix, which has fewer signals than samples."""
 
 
 def columns_of(name: str, values: Any) -> Iterator[tuple[str, Column | str]]:
-    """Yield the columns of an array by their names, and why an array is none.
+    """Yield the columns of an array with their names, or the reason why it has none.
 
     Parameters
     ----------
     name
-        Of the array.
+        Name of the array.
     values
-        An array of numbers, times or texts, a structured one, or anything else.
+        An array of numbers, times or texts, a structured array, or anything else.
     """
     array = np.atleast_1d(values) if isinstance(values, np.ndarray | np.generic) else None
     if array is not None and array.dtype.names:
@@ -57,14 +57,14 @@ def columns_of(name: str, values: Any) -> Iterator[tuple[str, Column | str]]:
 
 
 def clocks_in(columns: Mapping[str, Column], separator: str) -> dict[str, str]:
-    """Return the columns with the times of others: those beside a time in a structure or group.
+    """Return the time column of each column that has one in its structure or group.
 
     Parameters
     ----------
     columns
-        By name.
+        Columns by name.
     separator
-        Between the parts of a name.
+        Separator between the parts of a name.
     """
     found: dict[str, str] = {}
     groups: dict[str, str] = {}
@@ -83,7 +83,7 @@ def clocks_in(columns: Mapping[str, Column], separator: str) -> dict[str, str]:
 
 
 def _others(array: np.ndarray[Any, Any]) -> pa.ChunkedArray | None:
-    """Return times or texts as a column of Arrow; None for anything else."""
+    """Return times or texts as an Arrow column; None for anything else."""
     try:
         if array.dtype.kind == "S":
             array = np.char.decode(array, "utf-8", "replace")
@@ -101,18 +101,18 @@ def _others(array: np.ndarray[Any, Any]) -> pa.ChunkedArray | None:
 
 
 TIME_NAME = "time"
-"""Of the column with times, where all channels share them; else with the group behind a stroke."""
+"""Name of the time column if all channels share it; otherwise GROUP/time."""
 
 
 @dataclass
 class Clocks:
-    """The times of groups of channels, gathered while a file is read."""
+    """The times of groups of channels, collected while a file is read."""
 
     times: dict[str, FloatArray] = field(default_factory=dict)
     groups: dict[str, str] = field(default_factory=dict)
 
     def add(self, column: str, group: object, times: FloatArray) -> None:
-        """Note the times of a column, which are those of its group."""
+        """Add a column with the times of its group."""
         self.groups[column] = str(group)
         self.times.setdefault(str(group), times)
 
@@ -123,7 +123,7 @@ class Clocks:
         unusable: dict[str, str],
         units: dict[str, str],
     ) -> MeasuredTable:
-        """Return the table with a column for each different clock."""
+        """Return the table with one time column for each different set of times."""
         names: dict[str, str] = {}
         different: dict[str, FloatArray] = {}
         for group, times in self.times.items():

@@ -1,4 +1,4 @@
-"""Parquet and Feather: columns of Arrow."""
+"""Parquet and Feather files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Parquet(TableFormat):
 
     @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
-        # read_table would make columns of a folder's name like "run=3"
+        # read_table would make a column from a folder name such as "run=3"
         with pq.ParquetFile(path, page_checksum_verification=True) as opened:
             table = opened.read()
         table.validate(full=True)
@@ -30,7 +30,7 @@ class Parquet(TableFormat):
 
 
 class Feather(TableFormat):
-    """Feather, which is Arrow's own file format."""
+    """Feather, the Arrow file format."""
 
     name: ClassVar[str] = "feather"
     endings: ClassVar[tuple[str, ...]] = (".feather", ".arrow", ".ipc")

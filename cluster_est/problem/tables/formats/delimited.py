@@ -1,8 +1,8 @@
-"""Text files with a table: CSV and its relatives, as programs, loggers and spreadsheets write them.
+"""Reads tables in text files, such as CSV files of programs, loggers and spreadsheets.
 
-The beginning is looked at for the encoding, the lines before the table, what separates cells and
-decimals. Then Arrow reads the rest once, numbers at once as numbers. A column in which that fails
-is read again as text, because whether it is one of numbers matters only if it is used.
+The encoding, the lines above the table, and the separators of cells and decimals are determined
+from the beginning of the file. Then Arrow reads the file, with numbers directly as numbers. If this
+fails, all columns are read as text, because an unused column may contain anything.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from cluster_est.problem.tables.measured_table import LineNumbers, MeasuredTable
 from cluster_est.toml import inline
 
 HEAD_BYTES: Final = 2**18
-"""Bytes of the beginning that are looked at."""
+"""Number of bytes of the beginning that are examined."""
 LINES_OF_LAYOUT: Final = 400
-"""Lines in which the header is looked for, after those that the user skips."""
+"""Number of lines in which the header is searched for, after those that the user skips."""
 LINES_LOOKED_AT: Final = 1500
-"""Lines whose cells tell what separates decimals, and which columns have numbers."""
+"""Number of lines that determine the decimal separator and the numeric columns."""
 MOST_LINES_OF_CELL: Final = 10
 COMMENTS: Final = ("#", "%", "//")
-"""Begin lines that are no part of a table."""
+"""Signs at the beginning of comment lines."""
 DELIMITERS: Final = (",", ";", "\t", "|", " ")
 MARKS: Final = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -46,7 +46,7 @@ MARKS: Final = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-"""Marks at the beginning of a file, with the encoding that they stand for."""
+"""Byte order marks, with their encodings."""
 OTHER_FORMATS: Final = (
     (b"MDF  ", ".mdf"),
     (b"TDSm", ".tdms"),
@@ -55,35 +55,35 @@ OTHER_FORMATS: Final = (
     (b"PAR1", ".parquet"),
     (b"MATLAB ", ".mat"),
 )
-"""How files of other formats begin, which may have any ending."""
+"""First bytes of files in other formats, which may have a wrong extension."""
 GUESSED_ENCODING: Final = "cp1252"
-"""Of text without a mark that is not in UTF-8: what Windows writes in Western Europe."""
+"""Encoding of text without a byte order mark that is not UTF-8: Windows in Western Europe."""
 MOST_NULS_OF_TEXT, LEAST_NULS_OF_UTF16 = 0.05, 0.3
-"""Shares of zero bytes at the two places of a pair, by which UTF-16 without a mark is told."""
+"""Shares of zero bytes at the two positions of a pair that identify UTF-16 without a mark."""
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a file is laid out.
+    """The layout of a file.
 
     Attributes
     ----------
     encoding
-        Of its text.
+        Encoding of the text.
     delimiter
-        Between cells; a blank stands for any number of them.
+        Separator of cells; a blank means any number of blanks.
     header
-        Its names and units, and the line of its first row.
+        Names and units of the columns, and the line of the first row.
     comments
-        Whether lines that begin as comments are none of its rows.
+        Whether lines that begin like comments are not rows.
     decimal
-        As in `MeasuredTable`.
+        Decimal separator, as in `MeasuredTable`.
     numeric
-        Positions of columns that are read as numbers.
+        Positions of the columns that are read as numbers.
     notes
-        What was found, a sentence each.
+        Sentences on how the file is read.
     end
-        Bytes up to the end of the table, where something stands below it; else None.
+        Number of bytes up to the end of the table if there are lines below it; None otherwise.
     """
 
     encoding: str
@@ -101,7 +101,7 @@ class _Layout:
 
 
 class DelimitedText(TableFormat):
-    """Rows of cells as text."""
+    """Text files with rows of cells."""
 
     name: ClassVar[str] = "csv"
     endings: ClassVar[tuple[str, ...]] = (
@@ -131,7 +131,7 @@ class DelimitedText(TableFormat):
 
 
 class _NotUtf8Error(Exception):
-    """The text of a file, far from its beginning, is not in UTF-8."""
+    """Raised if the text of a file is not UTF-8 after its examined beginning."""
 
 
 def _head(path: Path) -> bytes:
@@ -145,7 +145,7 @@ def _opened(path: Path) -> Any:
 
 
 def _encoding(head: bytes, given: str) -> tuple[str, str]:
-    """Return the encoding of a text, and a sentence if it is a guess."""
+    """Return the encoding of a text, and a note on it or ""."""
     for mark, encoding in MARKS:
         if head.startswith(mark):
             return encoding, "" if encoding == "utf-8" else f"its encoding is {encoding.upper()}"
@@ -190,7 +190,7 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
         ) from None
     lines = re.split(r"\r\n|\n|\r", text.removeprefix("\ufeff"))
     if len(head) == HEAD_BYTES and len(lines) > 1:
-        lines.pop()  # it is cut off
+        lines.pop()  # the last line is truncated
     layout = _layout(lines, encoding, reading)
     if note:
         layout = replace(layout, notes=(note, *layout.notes))
@@ -219,7 +219,7 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
 
 
 def _without_what_is_below(path: Path, layout: _Layout, lines: Sequence[str]) -> _Layout:
-    """Return the layout with the end of the table, where something stands below it."""
+    """Return the layout with the end of the table, if there are lines below the table."""
     if path.suffix.lower() == ".gz" or layout.encoding.startswith(("utf-16", "utf-32")):
         return layout
 
@@ -237,7 +237,7 @@ def _without_what_is_below(path: Path, layout: _Layout, lines: Sequence[str]) ->
 
 
 def _found(layout: _Layout, reading: Reading, *, guessed: bool) -> dict[str, Any]:
-    """Return the keys that say how the file was read, where that was a matter of finding out."""
+    """Return the options of `Reading` that were determined from the file."""
     found: dict[str, Any] = {}
     if guessed and not layout.encoding.startswith("utf-16"):
         found["encoding"] = layout.encoding
@@ -267,7 +267,7 @@ def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
 
 
 def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Header, bool] | None:
-    """Return what separates cells, the header, and whether there are comments."""
+    """Return the delimiter, the header, and whether comment lines are not rows."""
     best: tuple[str, Header, bool] | None = None
     marked = any(line.lstrip().startswith(COMMENTS) for line in lines)
     for delimiter in DELIMITERS:
@@ -275,7 +275,7 @@ def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Heade
             continue
         for comments in (True, False) if marked else (True,):
             rows = _rows(lines, delimiter, comments=comments)
-            if given:  # the line that was named is the header
+            if given:  # the first line after the skipped ones is the header
                 rows = [None if i < start else row for i, row in enumerate(rows)]
             found = find_header(rows, start)
             if found is not None and (found.header is not None or not comments):
@@ -287,7 +287,7 @@ def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Heade
 
 
 def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[str] | None]:
-    """Return the cells of lines; None for empty ones, and for comments if they are no rows."""
+    """Return the cells of lines; None for empty lines, and for comments if they are not rows."""
     found: list[list[str] | None] = []
     for line in _logical(lines):
         if line is None:
@@ -303,7 +303,7 @@ def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[
 
 
 def _logical(lines: Sequence[str]) -> Iterator[str | None]:
-    """Yield lines; one whose quoted cell goes on below comes in the place of its last, once."""
+    """Yield lines; lines with a quoted multi-line cell are joined in place of the last one."""
     begun = ""
     for i, line in enumerate(lines):
         if not begun and line.count('"') % 2:
@@ -323,12 +323,12 @@ def _cells(line: str, delimiter: str) -> list[str]:
         return line.split()
     try:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    except (csv.Error, StopIteration):  # a cell beyond Python's limit
+    except (csv.Error, StopIteration):  # for example a cell that is too long for the csv module
         return line.split(delimiter)
 
 
 def _plain(lines: Sequence[str], start: int) -> tuple[str, Header, bool]:
-    """Return the layout of a table that begins with the first line that is not empty."""
+    """Return the layout of a table that begins with the first nonempty line."""
     there = [i for i in range(start, len(lines)) if lines[i]]
     if not there:
         raise DataError("must have a header and rows of numbers, but is empty; check the file")
@@ -341,7 +341,7 @@ def _plain(lines: Sequence[str], start: int) -> tuple[str, Header, bool]:
 def _columns(
     lines: Sequence[str], delimiter: str, header: Header, *, comments: bool
 ) -> list[list[str]]:
-    """Return the cells of each column, as far as they were looked at, without missing ones."""
+    """Return the cells of each column in the examined lines, without missing values."""
     width = len(header.names)
     found: list[list[str]] = [[] for _ in range(width)]
     for row in _rows(lines[header.first :], delimiter, comments=comments):
@@ -353,7 +353,7 @@ def _columns(
 
 
 def _numeric(cells: Sequence[Sequence[str]], decimal: str) -> tuple[int, ...]:
-    """Return the positions of columns that can be read as numbers with that decimal sign."""
+    """Return the positions of columns that are numeric with this decimal separator."""
     if decimal not in (",", "."):
         return ()
     other = "," if decimal == "." else "."
@@ -385,7 +385,7 @@ def _notes(header: Header, delimiter: str, reading: Reading) -> tuple[str, ...]:
 
 
 def _parse(path: Path, layout: _Layout) -> tuple[pa.Table, int]:
-    """Return the columns in their order, and how many lines of comments were left out."""
+    """Return the columns in order, and the number of skipped comment lines."""
     skipped: list[None] = []
 
     def meet(row: Any) -> str:
@@ -423,7 +423,7 @@ def _parse(path: Path, layout: _Layout) -> tuple[pa.Table, int]:
 
 
 def _source(path: Path, layout: _Layout) -> Any:
-    """Return what Arrow reads from; cells that blanks separate are put together with tabs."""
+    """Return the source for Arrow; blanks between cells are replaced by tabs."""
     if layout.delimiter != " ":
         if path.suffix.lower() == ".gz":
             return pa.CompressedInputStream(pa.OSFile(str(path)), "gzip")
@@ -437,7 +437,7 @@ def _source(path: Path, layout: _Layout) -> Any:
 
 
 def _without_empty_end(table: pa.Table) -> pa.Table:
-    """Return a table without rows at its end that have no cell with anything in it."""
+    """Return a table without empty rows at its end."""
     end = table.num_rows
     while end and all(c[end - 1].as_py() in (None, "") for c in table.columns):
         end -= 1
@@ -445,7 +445,7 @@ def _without_empty_end(table: pa.Table) -> pa.Table:
 
 
 def _explain(path: Path, layout: _Layout) -> None:
-    """Say what is wrong in a text file that Arrow refused, if it is one of the usual things."""
+    """Raise an error for the usual faults of a text file: a wrong number of cells, or no rows."""
     count = 0
     for number, line in _Lines(path, layout).rows():
         cells = _cells(line, layout.delimiter)
@@ -476,7 +476,7 @@ class _Lines(LineNumbers):
         return index + self.layout.header.first + 1
 
     def rows(self) -> Iterator[tuple[int, str]]:
-        """Yield the rows with their numbers, from 1, as an editor shows them."""
+        """Yield the rows with their line numbers, as in an editor."""
         layout = self.layout
         with _opened(self.path) as raw:
             text = io.TextIOWrapper(raw, encoding=layout.encoding, errors="replace")

@@ -1,8 +1,8 @@
-"""The end of a table in a text file: summaries, end marks and zeros may stand below it.
+"""Finds the end of a table in a text file with other lines below the table.
 
-Loggers write a maximum, a count of samples or "end of file" there, and where the power failed
-while a file was written, zeros. Such lines have no value where those of the table have one. A row
-of the table that is cut off has one, and is left to be refused.
+Loggers write a maximum, the number of samples or "end of file" there. A power failure while the
+file is written may leave zeros. Such lines have no value in the column in which table rows have
+one. A truncated row has such a value, so it is kept and later refused.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from cluster_est.problem.tables.cells import MISSING
 from cluster_est.problem.tables.formats.header import is_value
 
 TAIL_BYTES: Final = 2**14
-"""Bytes of the end in which such lines are looked for."""
+"""Number of bytes at the end of the file in which such lines are searched for."""
 MOSTLY: Final = 0.8
-"""Least share of the cells of a column that are values, for it to tell a row of the table."""
+"""Least share of values in a column that identifies rows of the table."""
 
 
 @dataclass(frozen=True)
 class EndOfTable:
-    """Where a table ends, and what is below it.
+    """The end of a table, and the lines below it.
 
     Attributes
     ----------
     size
-        Bytes of the file up to there.
+        Number of bytes of the file up to the end of the table.
     said
-        What is left out, for a sentence.
+        Note on the lines that are ignored.
     """
 
     size: int
@@ -42,16 +42,16 @@ def end_of_table(
     columns: Sequence[Sequence[str]],
     cells_of: Callable[[bytes], list[str] | None],
 ) -> EndOfTable | None:
-    """Find the end of a table that has something below it; None where it goes on to the end.
+    """Find the end of a table with lines below it; None if the table ends with the file.
 
     Parameters
     ----------
     path
-        Of a file that is not packed, in an encoding in which a line ends with one byte.
+        Path of an uncompressed file, in an encoding with one byte per line break.
     columns
         Cells of each column near the beginning of the table.
     cells_of
-        The cells of a line; None of a comment.
+        A function that returns the cells of a line; None for a comment.
     """
     shares = [sum(map(is_value, cells)) / max(len(cells), 1) for cells in columns]
     place = next((i for i, share in enumerate(shares) if share >= MOSTLY), None)
@@ -79,7 +79,7 @@ def end_of_table(
 
 
 def _is_row(cells: Sequence[str], place: int) -> bool:
-    """Return whether a line belongs to the table, whole or cut off."""
+    """Return whether a line is a row of the table, which may be truncated."""
     if any(cells[:1]) and is_value(cells[0]):
         return True
     return len(cells) > place and (

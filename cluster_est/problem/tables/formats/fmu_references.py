@@ -1,8 +1,8 @@
-"""Reference results of an FMU, as FMI-LS-REF puts them into its archive.
+"""Reads the reference results in the archive of an FMU, according to FMI-LS-REF.
 
-The manifest `extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml` names files with their roles.
-One of the role `experiment` lists experiments (MA-HS-Experiments): start and stop, a file of
-parameters, one of stimuli, and one of references, each a CSV table with a column for the time.
+The manifest `extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml` lists files with their roles. A
+file with the role `experiment` lists experiments (MA-HS-Experiments). Each has start and stop times
+and files of parameters, stimuli and references, which are CSV tables with a time column.
 FMI-LS-REF 1.0.0-alpha.1 (Modelica Association, 2025), https://github.com/modelica/fmi-ls-ref.
 """
 
@@ -29,21 +29,21 @@ from workers.fmu.description import nearest
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = f"{FOLDER}/fmi-ls-manifest.xml"
 MOST_BYTES: Final = 2**31
-"""Bytes of one file of the archive, unpacked."""
+"""Largest size of an unpacked file of the archive in bytes."""
 
 
 @dataclass(frozen=True)
 class ReferenceExperiment:
-    """An experiment that an FMU carries.
+    """An experiment in the archive of an FMU.
 
     Attributes
     ----------
     name
-        Of the experiment.
+        Name of the experiment.
     references, stimuli, parameters
-        Files of the archive; empty where it has none.
+        Files of the archive; empty if there is none.
     start, stop
-        In seconds; None where it does not say.
+        Start and stop times in seconds; None if they are not given.
     """
 
     name: str
@@ -55,7 +55,7 @@ class ReferenceExperiment:
 
 
 class FmuReferences(TableFormat):
-    """Experiments in the archive of an FMU; `sheet` names one of several."""
+    """Experiments in the archive of an FMU; `sheet` selects one of several."""
 
     name: ClassVar[str] = "FMU"
     endings: ClassVar[tuple[str, ...]] = (".fmu",)
@@ -80,12 +80,13 @@ class FmuReferences(TableFormat):
 
 
 def reference_experiments(path: Path) -> tuple[ReferenceExperiment, ...]:
-    """Return the experiments with reference results that an FMU carries.
+    """Return the experiments with reference results in an FMU.
 
     Raises
     ------
     DataError
-        If it is no archive, or what describes them is damaged or names a file that is not there.
+        If the file is not an archive, or the manifest or a list of experiments is damaged or names
+        a missing file.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -104,7 +105,7 @@ def _experiments(archive: zipfile.ZipFile) -> Iterator[ReferenceExperiment]:
         if _bare(related.tag) != "Related" or not related.get("role", "").startswith("experiment"):
             continue
         file = posixpath.normpath(posixpath.join(FOLDER, related.get("source", "")))
-        if file not in names:  # an importer must bear that, FMI-LS-REF, section "Related Files"
+        if file not in names:  # allowed by FMI-LS-REF, section "Related Files"
             continue
         for each in _tree(archive, file):
             found = {_bare(part.tag): part.get("source", "") for part in each}
@@ -136,7 +137,7 @@ def _bare(tag: str) -> str:
 
 
 def _inside(source: str, beside: str, names: set[str]) -> str:
-    """Return the file of an archive that a path means: beside the file that names it, or above."""
+    """Return the file for a path, relative to the file that names it or to the archive."""
     for base in (posixpath.dirname(beside), ""):
         found = posixpath.normpath(posixpath.join(base, source))
         if found in names:
@@ -156,7 +157,7 @@ def _seconds(text: str | None) -> float | None:
 
 
 def _read(path: Path, experiment: ReferenceExperiment) -> MeasuredTable:
-    """Return the columns of references and stimuli, each with the times of its file."""
+    """Return the columns of references and stimuli, with the times of their files."""
     columns: dict[str, Column] = {}
     unusable: dict[str, str] = {}
     units: dict[str, str] = {}

@@ -1,8 +1,8 @@
-"""HDF5, with h5py: every vector of numbers, times or texts, named by its groups.
+"""HDF5 files, with h5py: all vectors of numbers, times or texts, named by their groups.
 
-MATLAB writes MAT files of version 7.3 in it. It stores arrays with their dimensions turned round,
-text as numbers of characters, and what it calls objects (timeseries, tables, datetimes) in a form
-of its own, which is not read.
+MAT files of version 7.3 are HDF5 files. MATLAB stores arrays with reversed dimensions and text as
+character codes. Its objects (timeseries, tables, datetimes) have an undocumented format, which is
+not read.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from cluster_est.problem.tables.mat_file import object_of_matlab
 from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Reading
 
 UNITS: Final = ("unit", "units", "Unit", "Units", "unit_string")
-"""Attributes of a dataset that are its unit."""
+"""Attributes of a dataset that contain its unit."""
 NUMERIC_CLASSES: Final = (
     "double", "single", "logical",
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 )  # fmt: skip
-"""Classes of MATLAB that are numbers."""
+"""Numeric classes of MATLAB."""
 
 
 class Hdf5(TableFormat):
-    """HDF5 of any program."""
+    """HDF5 files of any program."""
 
     name: ClassVar[str] = "HDF5"
     endings: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf")
@@ -45,16 +45,16 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     matlab
-        Whether MATLAB wrote it.
+        Whether the file is a MAT file.
 
     Raises
     ------
     DataError
         If h5py is not installed.
     OSError
-        If it is no HDF5.
+        If the file is not an HDF5 file.
     """
     h5py = library("h5py", "h5py", "MAT 7.3" if matlab else path.suffix)
     columns: dict[str, Column] = {}
@@ -93,7 +93,7 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
 
 
 def _scaled(values: Any, attributes: Any) -> Any:
-    """Return numbers as netCDF and others mean them: packed as integers, with a value for none."""
+    """Return numbers unpacked with netCDF's scale, offset and fill values."""
     if values.dtype.kind not in "iuf":
         return values
     packed = [key for key in ("scale_factor", "add_offset") if key in attributes]
@@ -110,7 +110,7 @@ def _scaled(values: Any, attributes: Any) -> Any:
 
 
 def _called(name: str, kind: str) -> str:
-    """Return what MATLAB calls a class, and what can be done."""
+    """Return a description of a MATLAB class, with advice for objects."""
     usual = {"char": "text", "cell": "a cell array", "": "not of a MATLAB class"}
     return usual[kind] if kind in usual else object_of_matlab(name, kind)
 

@@ -1,8 +1,8 @@
-"""The table among the rows of a file: its header, a row of units, and the first of its data.
+"""Finds a table among the rows of a file: its header, a row of units, and its first data row.
 
-Programs write what they like above a table: serial numbers, dates, comments, empty lines. The
-header is the row above the longest run of rows that have as many cells each, and are numbers or
-times for the greater part.
+Programs write serial numbers, dates, comments or empty lines above a table. The header is the row
+above the longest sequence of rows with the same number of cells, of which at least half are numbers
+or times.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from cluster_est.problem.tables.cells import MISSING, looks_like_a_number
 from cluster_est.problem.tables.units import UNIT_SUFFIXES, is_known
 
 LEAST_NUMBERS: Final = 0.5
-"""Least share of the cells of a row with data that are numbers or times."""
+"""Least share of numbers or times in a data row."""
 LEAST_UNITS: Final = 0.5
-"""Least share of the cells of a row of units that are units."""
+"""Least share of units in a row of units."""
 LEAST_ROWS_OF_RIVAL: Final = 3
 LEAST_SHARE_OF_RIVAL: Final = 0.9
-"""Rows with data, and the share of numbers in them, of what is a table too."""
+"""Least number of data rows, and least share of numbers in them, of another table."""
 NO_UNIT: Final = ("-", "1", "none", "n/a", "")
 _TIME: Final = re.compile(
     r"\d[\d\s:.,/+TZ-]*( ?[ap]m)?|\d{1,2}[- ][a-z]{3}[- ]\d{2,4}.*", re.IGNORECASE
@@ -33,24 +33,24 @@ Row = Sequence[str]
 
 @dataclass(frozen=True)
 class Header:
-    """Where a table is.
+    """The position of a table, and its columns.
 
     Attributes
     ----------
     names
-        Of its columns.
+        Names of the columns.
     header
-        Index of the row with the names; None where there is none.
+        Index of the row with the names; None if there is none.
     first
-        Index of the first row with data.
+        Index of the first data row.
     units
-        Of columns, by their position, from a row of their own.
+        Units by column position, from a separate row.
     rows
-        Rows with data that follow, as far as they were looked at.
+        Number of data rows in the examined part.
     share
-        Of the cells in these rows that are numbers or times.
+        Share of numbers or times in the cells of these rows.
     rival
-        Index of the header of another table above it; None without one.
+        Index of the header of another table above; None if there is none.
     """
 
     names: tuple[str, ...]
@@ -63,13 +63,13 @@ class Header:
 
     @property
     def is_certain(self) -> bool:
-        """Whether it is the header of a table whatever else is in the file."""
+        """Whether this is certainly a table, even if there is another table."""
         enough = self.rows >= LEAST_ROWS_OF_RIVAL and self.share >= LEAST_SHARE_OF_RIVAL
         return self.header is not None and enough
 
     @property
     def score(self) -> float:
-        """The more a table is one, the larger."""
+        """A measure of how likely this is a table: the larger, the more likely."""
         return self.rows * self.share
 
 
@@ -79,14 +79,14 @@ def find_header(rows: Sequence[Row | None], start: int = 0) -> Header | None:
     Parameters
     ----------
     rows
-        Cells by row; None for a row that is none, as an empty one or a comment.
+        Cells by row; None for an empty row or a comment.
     start
-        The first row that may be its header.
+        The first row that may be the header.
 
     Returns
     -------
     Header
-        None if no row of two or more cells is numbers for the greater part.
+        None if there are no data rows with two or more cells.
     """
     numbers = [None if row is None else _numbers(row) for row in rows]
     runs: list[list[int]] = []
@@ -105,12 +105,12 @@ def find_header(rows: Sequence[Row | None], start: int = 0) -> Header | None:
 
 
 def refuse_several(header: Header) -> None:
-    """Refuse rows with another table above the one that was found.
+    """Refuse a file with another table above the one that was found.
 
     Raises
     ------
     DataError
-        With the key that says which is meant.
+        If there is another table.
     """
     if header.rival is not None:
         raise DataError(
@@ -121,7 +121,7 @@ def refuse_several(header: Header) -> None:
 
 
 def _numbers(row: Row) -> tuple[int, int]:
-    """Return how many cells are numbers or times, and how many are not missing."""
+    """Return the number of cells that are numbers or times, and that of nonmissing cells."""
     there = [cell for cell in map(str.strip, row) if cell not in MISSING]
     return sum(is_value(cell) for cell in there), len(there)
 
@@ -138,7 +138,7 @@ def _is_data(counts: tuple[int, int]) -> bool:
 def _run(
     rows: Sequence[Row | None], numbers: Sequence[tuple[int, int] | None], at: int
 ) -> list[int]:
-    """Return the rows of data from one on, without those that are none."""
+    """Return the consecutive data rows from a row on, without empty rows and comments."""
     found: list[int] = []
     width = 0
     for i in range(at, len(rows)):
@@ -177,7 +177,7 @@ def _header(
         where = above[-2]
         above.pop()
     last = rows[where] or ()
-    if len(last) == width - 1 and _are_numbered(rows, data):  # as R writes the names of rows
+    if len(last) == width - 1 and _are_numbered(rows, data):  # row names, as written by R
         last = ("row", *last)
     if len(last) != width:
         return None
@@ -191,9 +191,9 @@ def _header(
 
 
 def _is_over_units(rows: Sequence[Row | None], above: Sequence[int], width: int) -> bool:
-    """Return whether the row above the data has neither names nor units, but units above it.
+    """Return whether the row above the data has no names or units, but a row of units above it.
 
-    As what a logger has stored of each channel: a mean, a sample.
+    Loggers write the kind of stored value there, such as a mean or a sample.
     """
     last, over, names = (rows[i] or () for i in above[:-4:-1])
     if len(last) != width or _are_units(last) or all(cell.strip() for cell in last):
@@ -202,13 +202,13 @@ def _is_over_units(rows: Sequence[Row | None], above: Sequence[int], width: int)
 
 
 def _are_numbered(rows: Sequence[Row | None], data: Sequence[int]) -> bool:
-    """Return whether the first cells of the rows with data count them."""
+    """Return whether the first cells of the data rows are the row numbers from 1 on."""
     there = [row[0].strip(' "') for i in data if (row := rows[i])]
     return there == [str(i) for i in range(1, len(there) + 1)]
 
 
 def _names_in_front(rows: Sequence[Row | None], run: Sequence[int]) -> bool:
-    """Return whether the first row of data has a text where the others have numbers."""
+    """Return whether the first data row has a text in a column of numbers."""
     first = rows[run[0]] or ()
     rest = [row for i in run[1:] if (row := rows[i]) is not None]
     for i, cell in enumerate(first):
@@ -222,7 +222,7 @@ def _names_in_front(rows: Sequence[Row | None], run: Sequence[int]) -> bool:
 
 
 def _is_named(rows: Sequence[Row | None], above: Sequence[int], first: int) -> bool:
-    """Return whether names stand above the first row of data, which is no row of units either."""
+    """Return whether there are names above the first data row, and it is not a row of units."""
     names, row = (rows[above[-1]] if above else None) or (), rows[first] or ()
     if not names or len(names) != len(row) or _are_units(row):
         return False
@@ -236,7 +236,7 @@ def _are_units(row: Row) -> bool:
 
 
 def _are_names(row: Row, units: Row, width: int) -> bool:
-    """Return whether a row names all columns that have a unit."""
+    """Return whether a row has names for all columns with a unit."""
     if len(row) != width or any(is_value(cell.strip()) for cell in row if cell.strip()):
         return False
     return all(name.strip() for name, unit in zip(row, units, strict=True) if unit.strip())

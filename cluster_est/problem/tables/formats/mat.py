@@ -1,4 +1,4 @@
-"""MAT files: every vector of numbers, those in structures and in matrices too."""
+"""MAT files: all numeric vectors, including those in structures and matrices."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Rea
 
 
 class Mat(TableFormat):
-    """MATLAB's own format, up to version 7 and, as HDF5, 7.3."""
+    """MAT files of MATLAB, up to version 7 and, as HDF5, version 7.3."""
 
     name: ClassVar[str] = "mat"
     endings: ClassVar[tuple[str, ...]] = (".mat",)
@@ -41,7 +41,7 @@ class Mat(TableFormat):
             return read_hdf5(path, matlab=True)
         except OSError:
             raise
-        except Exception as error:  # SciPy meets a damaged file with exceptions of every kind
+        except Exception as error:  # SciPy raises various exceptions for damaged files
             raise DataError(
                 f"must be a MAT file, but cannot be read as one ({type(error).__name__}: {error}); "
                 "save it again"

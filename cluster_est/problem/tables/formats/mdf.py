@@ -1,6 +1,6 @@
 """MDF, the measurement data format of ASAM (versions 3 and 4), with asammdf.
 
-The channels of a group share its master channel, the times. Each group has a rate of its own.
+The channels of a group share the times in its master channel. Each group has its own rate.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Rea
 
 
 class Mdf(TableFormat):
-    """MDF of versions 3 and 4."""
+    """MDF files of versions 3 and 4."""
 
     name: ClassVar[str] = "MDF"
     endings: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".mf3")
@@ -34,7 +34,7 @@ class Mdf(TableFormat):
                 signals = list(_signals(opened))
         except OSError:
             raise
-        except Exception as error:  # of whatever kind asammdf raises
+        except Exception as error:  # asammdf raises various exceptions
             raise DataError(
                 f"must be an MDF file, but cannot be read as one ({type(error).__name__}: "
                 f"{error}); check that it is complete, or save it again"
@@ -58,7 +58,7 @@ class Mdf(TableFormat):
 
 
 def _signals(opened: Any) -> Any:
-    """Yield the channels that are no times, with the number of their group."""
+    """Yield all channels except the times, with the number of their group."""
     for number, group in enumerate(opened.groups):
         master = opened.masters_db.get(number)
         for index, _ in enumerate(group.channels):
@@ -67,7 +67,7 @@ def _signals(opened: Any) -> Any:
 
 
 def _samples(signal: Any) -> Any:
-    """Return the samples of a channel, NaN where it says that they are invalid."""
+    """Return the samples of a channel; NaN for samples that are marked as invalid."""
     values = signal.samples
     invalid = signal.invalidation_bits
     if invalid is None or values.ndim != 1 or values.dtype.kind not in "fiub":

@@ -1,4 +1,4 @@
-"""What a format of measured files is; a new one is a file beside this one, a line in FORMATS."""
+"""Base class for formats of measured files; a new format is a file here and a line in FORMATS."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class TableFormat(ABC):
     Attributes
     ----------
     name
-        Of the format, in messages.
+        Name of the format in messages.
     endings
-        Of its files, in small letters, with the point.
+        File extensions in lower case, with the point.
     keys
-        Keys of `Reading` that mean something to it.
+        Options of `Reading` that apply to the format.
     """
 
     name: ClassVar[str]
@@ -40,26 +40,26 @@ class TableFormat(ABC):
         Parameters
         ----------
         path
-            Of the file.
+            Path of the file.
         reading
-            What the user says of it.
+            The user's options.
 
         Raises
         ------
         DataError
-            With what it must be, what it is and what to do; the file is named by who called.
+            If the content is unsuitable; the caller adds the file's name to the message.
         ValueError, OSError
-            If it is damaged.
+            If the file is damaged.
         """
 
 
 def library(module: str, package: str, ending: str) -> Any:
-    """Import the library that a format is read with.
+    """Import the library that reads a format.
 
     Raises
     ------
     DataError
-        If it is not installed, with the command that installs it.
+        If the library is not installed.
     """
     try:
         return importlib.import_module(module)

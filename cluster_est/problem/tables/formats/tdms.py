@@ -1,7 +1,7 @@
 """TDMS, the format of LabVIEW, with npTDMS.
 
-A channel may have a clock of its own, an increment between its samples, or none: its group then has
-a channel with the times.
+A waveform channel has its own times, given by the increment between samples. For other channels,
+the group has a channel with the times.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from workers.messages import FloatArray
 
 
 class Tdms(TableFormat):
-    """Channels in groups."""
+    """TDMS files, with channels in groups."""
 
     name: ClassVar[str] = "TDMS"
     endings: ClassVar[tuple[str, ...]] = (".tdms",)
@@ -32,7 +32,7 @@ class Tdms(TableFormat):
             opened = nptdms.TdmsFile.read(path)
         except OSError:
             raise
-        except Exception as error:  # of whatever kind npTDMS raises
+        except Exception as error:  # npTDMS raises various exceptions
             raise DataError(
                 f"must be a TDMS file, but cannot be read as one ({type(error).__name__}: "
                 f"{error}); check that it is complete, or save it again"
@@ -62,7 +62,7 @@ class Tdms(TableFormat):
 
 
 def _first_start(groups: Any) -> Any:
-    """Return when the first of the waveforms begins; None where they do not say."""
+    """Return the earliest start time of the waveforms; None if none is given."""
     starts = [
         channel.properties["wf_start_time"]
         for group in groups
@@ -77,7 +77,7 @@ def _is_waveform(channel: Any) -> bool:
 
 
 def _times(channel: Any, first: Any) -> FloatArray | None:
-    """Return the times of a waveform in seconds after the first one; None for other channels."""
+    """Return the times of a waveform in seconds since the first start; None for other channels."""
     if not _is_waveform(channel):
         return None
     own = channel.properties

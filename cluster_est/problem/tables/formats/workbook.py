@@ -1,4 +1,4 @@
-"""Workbooks of Excel (xlsx), with openpyxl: a sheet, with what stands above its table."""
+"""Excel workbooks (xlsx), with openpyxl: the table of a sheet, which may have rows above it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from cluster_est.problem.tables.measured_table import (
 from cluster_est.toml import inline
 
 LOOKED_AT = 300
-"""Rows in which the header is looked for."""
+"""Number of rows in which the header is searched for."""
 
 
 class Workbook(TableFormat):
-    """A table in a sheet."""
+    """Workbooks with a table in a sheet."""
 
     name: ClassVar[str] = "xlsx"
     endings: ClassVar[tuple[str, ...]] = (".xlsx", ".xlsm")
@@ -42,7 +42,7 @@ class Workbook(TableFormat):
             opened = openpyxl.load_workbook(path, read_only=True, data_only=True)
         except OSError:
             raise
-        except Exception as error:  # of whatever kind openpyxl raises
+        except Exception as error:  # openpyxl raises various exceptions
             raise DataError(
                 f"must be a workbook, but cannot be read as one ({type(error).__name__}: {error}); "
                 "save it again"
@@ -63,7 +63,7 @@ class Workbook(TableFormat):
 
 
 def _table(path: Path, rows: Sequence[Sequence[Any]], header: Header) -> MeasuredTable:
-    """Return the rows below a header as a table; their texts are in no known language."""
+    """Return the rows below a header as a table; the decimal separator of texts is unknown."""
     numbers = [i for i in range(header.first, len(rows)) if rows[i]]
     data = [rows[i] for i in numbers]
     columns: list[tuple[str, Column]] = [
@@ -78,7 +78,7 @@ def _table(path: Path, rows: Sequence[Sequence[Any]], header: Header) -> Measure
 
 @dataclass(frozen=True)
 class _Rows(LineNumbers):
-    """Rows of a sheet that are no empty ones."""
+    """Numbers of the nonempty rows of a sheet."""
 
     numbers: tuple[int, ...]
 
@@ -145,7 +145,7 @@ def _text(cell: Any) -> str:
 
 
 def _column(cells: list[Any]) -> Column:
-    """Return a column as numbers, times or text, as Excel says of its cells."""
+    """Return a column as numbers, times or text, according to the types of its cells."""
     there = [cell for cell in cells if cell is not None]
     if there and all(isinstance(cell, int | float) for cell in there):
         return np.array([np.nan if cell is None else float(cell) for cell in cells], np.float64)
