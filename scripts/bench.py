@@ -1,11 +1,11 @@
-"""Run one of the benches by its name, print its table, and add it to a history.
+"""Run a bench by its name, print its table, and add it to a history.
 
     python scripts/bench.py NAME [options] [--history FOLDER]
     python scripts/bench.py NAME --help
     python scripts/bench.py
 
-Without a name the benches are listed. With --history the rows are added to FOLDER/NAME.parquet,
-each with the date, the commit and the options of the run: figures of two days can be compared.
+Without a name, the benches are listed. With --history, the rows are added to FOLDER/NAME.parquet
+with the date, the commit and the options of the run, so that figures of two days can be compared.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
 
-# The matrices are small: threads would wait for each other. It counts before NumPy is imported.
+# The matrices are small, so threads would only wait. This must be set before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pyarrow as pa
@@ -32,11 +32,11 @@ FOLDER = Path(__file__).resolve().parent / "benches"
 sys.path.append(str(ROOT / "tests"))  # some benches measure with the FMUs of the tests
 
 WIDTH = 9
-"""Of a column, in characters, unless its head or its value is longer."""
+"""Smallest width of a column, in characters."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the bench that the command line names."""
+    """Run the bench named on the command line."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     names = sorted(p.stem for p in FOLDER.glob("*.py") if p.stem not in ("__init__", "common"))
     if not words or words[0] not in names:
@@ -55,12 +55,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summary(text: str) -> str:
-    """The first line of a module's docstring."""
+    """Return the first line of a module's docstring."""
     return text.removeprefix('"""').split("\n", 1)[0].removesuffix('"""')
 
 
 def make_parser(name: str, bench: ModuleType) -> argparse.ArgumentParser:
-    """The command line of a bench: its own options, and those of all."""
+    """Return the parser of a bench: its own options, and common options."""
     parser = argparse.ArgumentParser(
         prog=f"bench.py {name}",
         description=bench.__doc__,
@@ -83,7 +83,7 @@ def make_parser(name: str, bench: ModuleType) -> argparse.ArgumentParser:
 
 
 def lines(row: Row, before: Row) -> Iterable[str]:
-    """A row as text, below the heads of its columns where these are other ones than before."""
+    """Yield a row as text, after the column heads if these differ from the previous row."""
     texts = {head: text(value) for head, value in row.items()}
     widths = {head: max(WIDTH, len(head), len(texts[head])) for head in row}
     if list(row) != list(before):
@@ -92,14 +92,14 @@ def lines(row: Row, before: Row) -> Iterable[str]:
 
 
 def text(value: Value) -> str:
-    """A value as it is printed: numbers with four digits."""
+    """Return a value as text: numbers with four digits."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def keep(folder: Path, name: str, rows: Iterable[Row], options: argparse.Namespace) -> None:
-    """Add rows to the history of a bench; columns may differ from run to run."""
+    """Add rows to the history of a bench; columns may differ between runs."""
     known: Row = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "commit": commit(),
@@ -117,7 +117,7 @@ def keep(folder: Path, name: str, rows: Iterable[Row], options: argparse.Namespa
 
 
 def commit() -> str:
-    """The commit that is checked out, with a plus sign where files differ from it; "" without."""
+    """Return the current commit, with a plus sign for modified files; "" without a repository."""
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return done.stdout.strip()

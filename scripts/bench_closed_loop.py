@@ -1,4 +1,4 @@
-"""Run the closed loop on systems that lack an effect, and score what it says against the truth.
+"""Run the closed loop on systems that lack an effect, and compare its results with the truth.
 
     python scripts/bench_closed_loop.py --out results.jsonl --split tune --every 10
     python scripts/bench_closed_loop.py --out fast.jsonl --kinds single,clean --every 30 --rate 10
@@ -11,19 +11,23 @@
     python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation drop,waves+bounded
     python scripts/bench_closed_loop.py --out parts.jsonl --parts-page parts_of_the_search.md
 
-The first prints one line a case and appends to the file, one record a line; cases that are in it
-already are skipped, so a run can be continued. The second samples the cases ten times as fast, in
-noise that is larger by the root of ten. The third runs the cases of one long record. The fourth
-runs the open half of the cases of hidden dynamics (`--split report`: the half that is held back;
-`--kinds "nothing hidden"`: their systems with nothing to find), and the fifth prints their table.
-The sixth writes the tables of all that is there. The seventh fits how sure claims are to those of
-the files, and prints what the package needs of it. The eighth lists the cases of both files that
-were right and are no longer; there must be none, and the exit code is 1 if there is one. The
-ninth is about the parts of the search (moves, gates, and what moves share): on each of the first
-60 cases that are meant for that it runs the loop as it is, then without the one part, then without
-the other two, and prints what each is good for; `--ablation all` leaves out every part alone. Each
-has a file of its own beside that of `--out`, and can be continued with further parts and cases. The
-last writes the page of all that is there.
+1. Prints a line for each case and appends a record to the file. Cases in the file are skipped, so a
+   run can be continued.
+2. Samples the cases ten times as fast, with noise larger by the root of ten.
+3. Runs the cases of one long record.
+4. Runs the open half of the cases of hidden dynamics. `--split report` runs the half that is held
+   back, and `--kinds "nothing hidden"` their systems with nothing to find.
+5. Prints the table of hidden dynamics.
+6. Writes the tables of all records.
+7. Fits the certainty of claims to the records, and prints the data for the package.
+8. Lists the cases of both files that were right and are no longer. There must be none; otherwise
+the
+   exit code is 1.
+9. Tests the parts of the search (moves, gates, and common steps of moves). On each of the first 60
+   cases for this purpose, it runs the complete loop, then the loop without the first part, then
+   without the two others, and prints the benefit of each. `--ablation all` omits every part in
+   turn. Each variant has its own file beside that of `--out`, and can be continued.
+10. Writes the page of all records about parts.
 """
 
 from __future__ import annotations
@@ -68,17 +72,17 @@ from cluster_est.problem.thinning import ThinningSettings
 
 @dataclass(frozen=True)
 class Way:
-    """How all cases are sampled, and what is asked of their loops.
+    """Sampling and loop settings of all cases.
 
     Attributes
     ----------
     settings, sampling, thinning
-        See there.
+        See their classes.
     remembers
-        Answer from memory what another loop on the same case has simulated, and note the parts of
-        the search that did something.
+        Whether to use a cache of simulations of other loops on the same case, and to record the
+        active parts of the search.
     subset
-        Forms to try on each case; None for the whole library.
+        Forms to try on each case; None for the complete library.
     """
 
     settings: LoopSettings
@@ -88,7 +92,7 @@ class Way:
     subset: FormSubset | None = None
 
     def settings_for(self, case: Scenario) -> LoopSettings:
-        """Return the settings, with the forms that are drawn for a case where some are."""
+        """Return the settings, with the forms drawn for a case if there is a subset."""
         if self.subset is None:
             return self.settings
         return self.settings.changed(effects=self.subset.forms(case))
@@ -96,7 +100,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to run cases, what it leaves out, and the file of its records."""
+    """A way to run cases, the omitted parts, and the file of the records."""
 
     label: str
     way: Way
@@ -108,7 +112,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main() -> int:
-    """Do what the arguments ask for; 1 if a comparison finds a case that is no longer right."""
+    """Run the requested action; return 1 if a comparison finds a case that is no longer right."""
     options = parse()
     if options.compare:
         text, lost = compare_runs(*(read(file) for file in options.compare))
@@ -144,7 +148,7 @@ def main() -> int:
 
 
 def variants_of(options: argparse.Namespace) -> list[Variant]:
-    """Return the loop as it is, and without each of the parts that are to be left out."""
+    """Return the complete loop, and the loops without the parts to omit."""
     rows = options.rows if options.rows in ("auto", "no") else int(options.rows)
     whole = Way(
         LoopSettings(without=options.without),
@@ -166,7 +170,7 @@ def variants_of(options: argparse.Namespace) -> list[Variant]:
 
 
 def read_parts(out: Path) -> dict[str, dict[str, Score]]:
-    """Return the records of the loop as it is, and of all files of loops without some parts."""
+    """Return the records of the complete loop, and of all files of loops without parts."""
     opening = f"{out.stem}{WITHOUT}"
     others = {
         file.stem.removeprefix(opening): read(file)
@@ -181,7 +185,7 @@ WITHOUT = ".without "
 def complete(
     options: argparse.Namespace, portions: Sequence[Sequence[Scenario]], variants: Sequence[Variant]
 ) -> None:
-    """Run what the files of the variants lack."""
+    """Run the missing cases of the variants."""
     done = {each.label: read(each.file) for each in variants}
     if options.again:
         done = {
@@ -250,7 +254,7 @@ def parse() -> argparse.Namespace:
 
 
 def names_of(known: tuple[str, ...]) -> Any:
-    """Return a reader of names with commas between them."""
+    """Return a function that reads names separated by commas."""
 
     def read_names(text: str) -> tuple[str, ...]:
         names = tuple(text.split(","))
@@ -263,7 +267,7 @@ def names_of(known: tuple[str, ...]) -> Any:
 
 
 def groups_of(known: tuple[str, ...]) -> Any:
-    """Return a reader of groups with commas between them, each of names with + between them."""
+    """Return a function that reads groups separated by commas, of names separated by +."""
 
     def read_groups(text: str) -> tuple[str, ...]:
         for group in text.split(","):
@@ -274,7 +278,7 @@ def groups_of(known: tuple[str, ...]) -> Any:
 
 
 def read(path: Path) -> dict[str, Score]:
-    """Return the records of a file by case; of several of one case, the last."""
+    """Return the records of a file by case; of several records of a case, the last."""
     if not path.is_file():
         return {}
     scores = map(Score.from_json, path.read_text(encoding="utf-8").splitlines())
@@ -282,7 +286,7 @@ def read(path: Path) -> dict[str, Score]:
 
 
 def choose(options: argparse.Namespace) -> list[Scenario]:
-    """Return the cases that are asked for: those for parts of the search, or the benchmark's."""
+    """Return the requested cases: those for parts of the search, or those of the benchmark."""
     known = ablation_cases() if options.ablation else all_scenarios()
     if options.kinds == ("single record",):
         known = single_records()
@@ -301,7 +305,8 @@ def choose(options: argparse.Namespace) -> list[Scenario]:
         and (not options.cases or case.name in options.cases)
     ]
     if not options.ablation:
-        # By seed within a system and kind: every third of the listed cases would be of one size.
+        # By seed within a system and kind; in listed order, every third case would have the same
+        # size.
         cases.sort(key=lambda case: (case.kind, case.system, case.seed))
     return cases[:: options.every][: options.first]
 
@@ -312,12 +317,12 @@ def run(
     done: Mapping[str, Mapping[str, Score]],
     options: argparse.Namespace,
 ) -> Iterator[tuple[str, Score]]:
-    """Run cases in some processes, and give each score as it comes, with its variant's label.
+    """Run cases in several processes, and yield each score with its variant's label.
 
-    All cases of a portion run in one process, which keeps what it has compiled, and all variants of
-    a case one after the other. Where the parts that a variant leaves out changed nothing, its score
-    follows from that of the first variant. A case in which a process dies has an error as its
-    score; what its portion had left is not run.
+    All cases of a portion run in one process, which caches compiled effects, and all variants of a
+    case run consecutively. If the omitted parts had no influence, the score of a variant follows
+    from that of the first variant. If a process dies, the score of its case is an error, and the
+    rest of its portion is not run.
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     deadline = time.time() + options.seconds
@@ -334,7 +339,7 @@ def run(
         for _ in ended:
             yield from iter(scores.get, None)
         for each in ended:
-            each.result()  # an error in a thread must not go unseen
+            each.result()  # raises the exceptions of threads
 
 
 def scores_of(
@@ -343,7 +348,7 @@ def scores_of(
     done: Mapping[str, Mapping[str, Score]],
     deadline: float,
 ) -> Iterator[tuple[str, Score]]:
-    """Run what is not done of some cases in one process, to its end or until a deadline."""
+    """Run the missing variants of some cases in one process, to the end or until a deadline."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         for case in portion:
             whole = done[WHOLE].get(case.name)
@@ -361,9 +366,10 @@ def scores_of(
 
 
 def known_without(whole: Score, variant: Variant) -> Score | None:
-    """Return the score without parts that changed nothing in the whole loop, which has no seconds.
+    """Return the score without parts that had no influence on the complete loop, without seconds.
 
-    Their simulations are missing in it; None where the parts changed something. An error stays one.
+    The simulations of these parts are subtracted. None if the parts had an influence. An error
+    remains an error.
     """
     if variant.way.subset is not None:
         return None
@@ -375,7 +381,7 @@ def known_without(whole: Score, variant: Variant) -> Score | None:
 
 
 def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
-    """Divide cases by system, the largest portion first, into no less portions than processes."""
+    """Divide cases by system into at least as many portions as processes, the largest first."""
     systems = sorted({case.system for case in cases})
     parts = -(-processes // max(len(systems), 1))
     whole = [[case for case in cases if case.system == system] for system in systems]
@@ -385,7 +391,7 @@ def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
 
 @lru_cache(maxsize=1)
 def made(case: Scenario, sampling: Sampling) -> tuple[Problem, Data]:
-    """Return the problem and the data of a case, which all its variants have in common."""
+    """Return the problem and the data of a case, which are common to all its variants."""
     if case.kind == "single record":
         return one_record(case)
     if case.kind in HIDDEN_KINDS:
@@ -395,7 +401,7 @@ def made(case: Scenario, sampling: Sampling) -> tuple[Problem, Data]:
 
 
 def run_case(case: Scenario, way: Way) -> Score:
-    """Close the loop on a case and score it; its seconds are those of the processor."""
+    """Close the loop on a case and score it; its seconds are processor time."""
     problem, data = made(case, way.sampling)
     settings = way.settings_for(case)
     try:
@@ -407,7 +413,7 @@ def run_case(case: Scenario, way: Way) -> Score:
             result = close_loop(problem, settings=settings, thinning=way.thinning)
         result = replace(result, seconds=time.process_time() - begin)
         own = score(data, result, ask(data, result.before.problem))
-    except Exception:  # one bad case must not end the others, and its traceback is kept
+    except Exception:  # one failing case must not stop the others; its traceback is stored
         return blank(data, traceback.format_exc())
     if way.remembers:
         return replace(own, active=sorted(notes.active), spans=notes.spans)

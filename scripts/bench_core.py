@@ -2,8 +2,8 @@
 
     python scripts/bench_core.py [--cc "gcc"] [--seconds]
 
-Counts are of one simulation of mass_spring_damper, a thousand samples long, with all that the FMU
-does; the loops by hand are for this model alone, in `bench_core.c`. Needs valgrind.
+The counts are for one simulation of mass_spring_damper with a thousand samples, including the FMU.
+The hand-written loops in `bench_core.c` are for this model only. Needs valgrind.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def made(folder: Path) -> tuple[Path, Path]:
-    """The program that is counted, and the FMU's library."""
+    """Return the measured program, and the FMU's library."""
     program = folder / "bench_core"
     flags = [f for f in build.FLAGS if f not in ("-fPIC", "-shared", "-std=c11")]
     build.compile_to(program, [*build.sources(), HERE / "bench_core.c"], [*flags, "-std=gnu11"])
@@ -81,7 +81,7 @@ def made(folder: Path) -> tuple[Path, Path]:
 
 
 def term() -> bytes:
-    """The effect: 20 operations of which one is tanh."""
+    """Return the effect: 20 operations including one tanh."""
     names = ("k0", "k1", "k2", "k3", "k4", "k5", "width")
     symbols = {name: sp.Symbol(name, real=True) for name in (*names, "x", "v")}
     locations: Locations = {
@@ -101,7 +101,7 @@ def command(program: Path, library: Path, what: str, folder: Path) -> list[str]:
 
 
 def count(program: Path, library: Path, what: str, folder: Path) -> tuple[int, int]:
-    """Instructions of one simulation, and those of them that are not the FMU's."""
+    """Return the instructions of one simulation, and those outside the FMU."""
     out = folder / "callgrind.out"
     counting = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
     counting += ["--collect-atstart=no", "--toggle-collect=measured"]
@@ -117,7 +117,10 @@ def count(program: Path, library: Path, what: str, folder: Path) -> tuple[int, i
 
 
 def totals(text: str) -> dict[str, int]:
-    """Sum callgrind's own costs by object file; a line after calls= is another function's."""
+    """Return the sum of callgrind's own costs by object file.
+
+    A line after calls= belongs to another function.
+    """
     names: dict[str, str] = {}
     found: dict[str, int] = defaultdict(int)
     current, is_call = "", False
@@ -134,7 +137,7 @@ def totals(text: str) -> dict[str, int]:
 
 
 def seconds(program: Path, library: Path, what: str, folder: Path) -> float:
-    """Processor time of a process with two simulations, the least of ten."""
+    """Return the processor time of a process with two simulations, the smallest of ten."""
     best = float("inf")
     for _ in range(10):
         before = os.times()

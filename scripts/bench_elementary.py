@@ -1,10 +1,10 @@
-"""Time the core's elementary functions beside the C library's, with and without fused multiply-add.
+"""Time the core's elementary functions and the C library's, with and without fused multiply-add.
 
     python scripts/bench_elementary.py [--rounds 200] [--compiler cc]
 
-Per function and call: ns of calls that follow each other freely, ns of calls that wait for each
-other's results, and instructions by callgrind (where valgrind is installed), all less what the
-loop takes with a function that does nothing. "no FMA" is glibc's choice on a processor without it.
+For each function, per call: ns of independent calls, ns of calls that depend on each other's
+results, and instructions by callgrind (if valgrind is installed). The values of a loop with an
+empty function are subtracted. "no FMA" is glibc's variant for a processor without it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def figures(binary: Path, name: str, rounds: int) -> list[float]:
-    """Return ns, ns of waiting calls and instructions, of each side."""
+    """Return ns, ns of dependent calls and instructions, for each side."""
     times = [
         [float(t) for t in run([str(binary), name, side, str(rounds)], tunables)[0].split()]
         for side, tunables in SIDES.values()
@@ -58,7 +58,7 @@ def figures(binary: Path, name: str, rounds: int) -> list[float]:
 
 
 def instructions(binary: Path, name: str, side: str, tunables: str) -> float:
-    """Return the instructions a call, from the difference of two runs."""
+    """Return the instructions per call, from the difference of two runs."""
     if shutil.which("valgrind") is None:
         return float("nan")
     command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", str(binary)]
@@ -70,7 +70,7 @@ def instructions(binary: Path, name: str, side: str, tunables: str) -> float:
 
 
 def run(command: list[str], tunables: str) -> tuple[str, str]:
-    """Return what a process writes to both streams."""
+    """Return the output of a process on both streams."""
     environment = {**os.environ, "GLIBC_TUNABLES": tunables}
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
     return done.stdout, done.stderr

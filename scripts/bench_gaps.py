@@ -1,11 +1,12 @@
-"""Fit records with gaps, and count gaps that nobody was told of and parameters that are off.
+"""Fit records with gaps, and count unreported gaps and wrong parameters.
 
     python scripts/bench_gaps.py --out results.jsonl
     python scripts/bench_gaps.py --out held.jsonl --held-back
     python scripts/bench_gaps.py --page results.jsonl
 
-The first fits the 100 open cases, the second the 100 that nothing may be tuned on, each appended to
-its file; cases that are in it already are skipped. The third prints the figures of a file.
+The first command fits the 100 open cases, and the second the 100 cases that must not be used for
+tuning. Results are appended to the file, and cases in it are skipped. The third command prints the
+figures of a file.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from workers.fmu.description import describe
 
 MODELS = Path(__file__).resolve().parent.parent / "configs" / "models"
 OFF = 4.0
-"""Standard errors from the truth from which on a parameter is wrong."""
+"""Number of standard errors from the truth above which a parameter is wrong."""
 WORDS = re.compile(r"\bgap|missing|interpolated|pause")
 INTERVALS = re.compile(r"from (-?[\d.e+-]+) to (-?[\d.e+-]+) s")
 MORE = re.compile(r"and \d+ more")
 
 
 def main() -> None:
-    """Do what the arguments ask for."""
+    """Run the requested action."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("gaps.jsonl"), help="file of records")
     parser.add_argument("--held-back", action="store_true", help="the cases with odd numbers")
@@ -137,7 +138,7 @@ def _count(case: Case) -> int:
 
 
 def _told(case: Case, sentences: Sequence[str]) -> int:
-    """Return how many gaps some sentence names, by experiment and time."""
+    """Return the number of gaps that a sentence names, by experiment and time."""
     told = 0
     for record in case.records:
         own = [s for s in sentences if record.id in s and WORDS.search(s)]
@@ -150,7 +151,7 @@ def _told(case: Case, sentences: Sequence[str]) -> int:
 
 
 def one_line(one: dict[str, Any]) -> str:
-    """Say how a case went."""
+    """Return the result of a case in one line."""
     if one["error"]:
         return f"{one['name']}: {one['error']}"
     worst = max((abs(v) for v in one["off"].values() if v is not None), default=np.nan)

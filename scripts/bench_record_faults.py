@@ -1,13 +1,13 @@
-"""Count faults of records that are named, and sets in which one is claimed that is not there.
+"""Count correctly named faults of records, and sets with a false claim of a fault.
 
     python scripts/bench_record_faults.py --out open.jsonl
     python scripts/bench_record_faults.py --out held.jsonl --held-back
     python scripts/bench_record_faults.py --out clean.jsonl --kinds clean,effect
     python scripts/bench_record_faults.py --page open.jsonl held.jsonl clean.jsonl
 
-Cases that are in a file already are skipped. A case is fitted, and with `--loop` the loop is closed
-too: a fault counts as named if a sentence says its kind and its record, as named first if that is
-the first sentence of the loop's summary.
+Cases in a file are skipped. A case is fitted, and with `--loop` the loop is closed too. A fault is
+named if a sentence contains its kind and its record. It is named first if this is the first
+sentence of the loop's summary.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ WORDS = {
     "foreign": r"periodic disturbance",
     "transient": r"initial state .* differs",
 }
-"""Words that only a sentence on this kind of fault has."""
+"""Words that occur only in a sentence on this kind of fault."""
 ANY = re.compile(
     r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic disturbance|far from all other values"
 )
 """Words of a sentence that claims a fault of a record."""
-SET_ASIDE = re.compile(r"far from all their neighbours")
-"""Words of a loop that sets samples aside."""
+SET_ASIDE = re.compile(r"they differ from all their neighbours")
+"""Words of a loop that excludes samples."""
 SETS = (*KINDS, "clean", "effect")
 
 
 def main() -> None:
-    """Do what the arguments ask for."""
+    """Run the requested action."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("records.jsonl"), help="file of results")
     parser.add_argument("--held-back", action="store_true", help="the cases that were held back")
@@ -83,7 +83,7 @@ def main() -> None:
 
 
 def cases(options: argparse.Namespace) -> Iterator[Case]:
-    """Make the cases that are asked for, each when it is needed."""
+    """Yield the requested cases, each made when it is needed."""
     kinds = options.kinds.split(",")
     numbers: dict[Any, Sequence[int]] = {
         make_fault: [n for n in range(OF_EACH * len(KINDS)) if KINDS[n % len(KINDS)] in kinds],
@@ -99,7 +99,7 @@ def cases(options: argparse.Namespace) -> Iterator[Case]:
 
 
 def run(case: Case, *, loop: bool) -> dict[str, Any]:
-    """Fit a case, close the loop on it, and keep what was said of its records."""
+    """Fit a case, close the loop on it, and keep the sentences about its records."""
     problem, resources = make_problem(case.data), Resources(executor="local")
     found: dict[str, Any] = {"name": case.name, "kind": case.kind, "held_back": case.held_back}
     record = "" if case.record < 0 else run_name(case.record, case.data.experiments[case.record])
@@ -123,7 +123,7 @@ def run(case: Case, *, loop: bool) -> dict[str, Any]:
 
 
 def _told(case: Case, record: str, sentences: Sequence[str]) -> dict[str, Any]:
-    """Return whether some sentence names the fault, and all that claim one."""
+    """Return whether a sentence names the fault, and all sentences that claim a fault."""
     claims = [s for s in sentences if ANY.search(s)]
     if case.kind == "evidence":
         aside = [s for s in sentences if SET_ASIDE.search(s)]
@@ -132,13 +132,13 @@ def _told(case: Case, record: str, sentences: Sequence[str]) -> dict[str, Any]:
         return {"named": not claims, "claims": claims}
     kinds = {case.kind}
     if case.kind in ("delay", "clock") and len(case.data.system.outputs) == 1:
-        kinds = {"delay", "clock"}  # of a single output nothing tells them apart
+        kinds = {"delay", "clock"}  # for a single output, they are equivalent
     named = [s for s in claims if record in s and any(re.search(WORDS[kind], s) for kind in kinds)]
     return {"named": bool(named), "claims": claims}
 
 
 def one_line(one: dict[str, Any]) -> str:
-    """Say how a case went."""
+    """Return the result of a case in one line."""
     if "error" in one:
         return f"{one['name']}: {one['error']}"
     said = [

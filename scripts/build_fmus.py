@@ -33,7 +33,7 @@ MODELS = Path(__file__).resolve().parent.parent / "configs" / "models"
 SCAFFOLD = MODELS / "common"
 FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
 
-# Reproducible results: no fast-math, and no fused multiply-adds on the processors that have them.
+# For reproducible results: no fast-math, and no fused multiply-adds.
 CFLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra"]
 
 ROLES = ["independent", "parameter", "input", "state", "derivative", "output"]
@@ -75,7 +75,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Model:
-    """A model as read from its folder, its variables in the order of their value references."""
+    """A model read from its folder, with its variables in the order of their value references."""
 
     name: str
     spec: dict[str, Any]
@@ -84,7 +84,7 @@ class Model:
 
     @property
     def guid(self) -> str:
-        """A hash of everything that makes the model."""
+        """A hash of the complete definition of the model."""
         digest = hashlib.sha256(repr(self.spec).encode())
         for name, text in sorted(self.sources.items()):
             digest.update(name.encode() + text)
@@ -95,11 +95,11 @@ class Model:
         return [v for v in self.variables if v.role == role]
 
     def first(self, role: str) -> int:
-        """Return the value reference at which a role begins."""
+        """Return the first value reference of a role."""
         return sum(ROLES.index(v.role) < ROLES.index(role) for v in self.variables)
 
     def index(self, name: str) -> int:
-        """Return the place of a variable in the model description, which counts from 1."""
+        """Return the index of a variable in the model description, which counts from 1."""
         return 1 + [v.name for v in self.variables].index(name)
 
 
@@ -122,7 +122,7 @@ def read_model(folder: Path) -> Model:
 
 
 def read_variables(entries: Iterable[dict[str, Any]]) -> list[Variable]:
-    """Turn the entries of ``model.toml`` into variables, ordered by role."""
+    """Convert the entries of ``model.toml`` to variables, ordered by role."""
     variables = [Variable("time", "independent", {"unit": "s", "description": "time"})]
     for entry in entries:
         if rate := entry.get("derivative"):
@@ -139,7 +139,7 @@ def c_array(items: Iterable[str]) -> str:
 
 
 def c_header(model: Model) -> str:
-    """Return ``model_variables.h``, which tells the scaffold and the equations the variables."""
+    """Return ``model_variables.h``, which declares the variables for all C sources."""
     firsts = {f"FIRST_{role.upper()}": model.first(role) for role in ROLES[2:5]}
     names = [f"V_{v.identifier}" for v in model.variables]
     constants = [*names, "N_VARIABLES", *(f"{name} = {first}" for name, first in firsts.items())]
@@ -164,14 +164,14 @@ def c_header(model: Model) -> str:
 
 
 def element(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
-    """Append a child; attributes that are None are left out, numbers and truths are written."""
+    """Append a child; attributes that are None are omitted, numbers and Booleans are converted."""
     given = {key: value for key, value in attributes.items() if value is not None}
     texts = {k: str(v).lower() if isinstance(v, bool) else str(v) for k, v in given.items()}
     return ET.SubElement(parent, tag, texts)
 
 
 def add_interfaces(root: ET.Element, model: Model) -> None:
-    """Describe what the FMU can do in model exchange and in co-simulation."""
+    """Describe the capabilities of the FMU in model exchange and in co-simulation."""
     shared = {
         "modelIdentifier": model.name,
         "canNotUseMemoryManagementFunctions": True,
@@ -187,7 +187,7 @@ def add_interfaces(root: ET.Element, model: Model) -> None:
 
 
 def add_units(root: ET.Element, model: Model) -> None:
-    """Define the units; those without integer powers of base units stay plain names."""
+    """Define the units; units without integer powers of base units are only names."""
     units = element(root, "UnitDefinitions")
     for name, base in model.spec["units"].items():
         unit = element(units, "Unit", name=name)
@@ -224,7 +224,7 @@ def add_structure(root: ET.Element, model: Model) -> None:
         "InitialUnknowns": sorted(outputs + derivatives),
     }
     for tag, indices in sections.items():
-        if not indices:  # a model without states: the standard allows no empty list
+        if not indices:  # without states; the standard forbids an empty list
             continue
         section = element(structure, tag)
         for index in indices:
@@ -269,7 +269,7 @@ def compile_library(command: Sequence[str], folder: Path, library: str) -> bytes
     """Compile the C files of a folder into a shared library and return it."""
     sources = sorted(file.name for file in folder.glob("*.c"))
     link = ["-shared", "-s", "-o", library, *sources, "-lm"]
-    # Relative names only: the folder is temporary and must leave no trace in the library.
+    # Relative names only, so that the library does not contain the temporary folder.
     subprocess.run([*command, *CFLAGS, f"-I{FMI_HEADERS}", *link], cwd=folder, check=True)
     return (folder / library).read_bytes()
 
@@ -303,12 +303,12 @@ def binary(folder: Path, name: str, compiler: str, platform: str) -> bytes:
 
 
 def write_archive(path: Path, files: dict[str, bytes]) -> None:
-    """Write a zip archive that depends on its contents only."""
+    """Write a zip archive whose bytes depend only on its contents."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in sorted(files.items()):
             entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system = 3  # the same archive, whatever system builds it
+            entry.create_system = 3  # the same on every system
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, content)
 

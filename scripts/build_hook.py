@@ -1,9 +1,9 @@
-"""How a wheel is made: hatchling's backend, and the libraries in C, which are put into it.
+"""Build of a wheel: hatchling's backend, and the libraries in C, which are added to the wheel.
 
-A wheel gets them for every platform, by zig, so that it is one for all. An installation in place
-(`pip install -e .`) gets those of this machine alone, in the source tree: by the system's compiler
-where there is one, else by zig, which is 100 MB and so is not asked for without need. The table of
-what is built is in `workers/core/build.py`.
+A wheel contains the libraries for all platforms, built by zig, so that one wheel serves all. An
+editable installation (`pip install -e .`) contains only those of this machine, in the source tree.
+They are built by the system's compiler if there is one, otherwise by zig, which is a download of
+100 MB. `workers/core/build.py` lists the libraries.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 import hatchling.build
 
-# All of them: which functions a backend has depends on the front end.
+# All of them, because the required functions of a backend depend on the front end.
 from hatchling.build import *  # noqa: F403
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
@@ -27,9 +27,9 @@ from workers.errors import ModelError
 
 ZIG = "ziglang>=0.17,<0.18"
 ZIG_CACHE = "ZIG_GLOBAL_CACHE_DIR"
-"""What zig has compiled of its own libraries, 70 MB, goes to a temporary folder, and so nothing is
-left. A folder that is named here is kept, which helps where zig itself stays in its place
-(`--no-build-isolation`)."""
+"""Variable for the folder of zig's compiled own libraries (70 MB). By default, it is a temporary
+folder, so that nothing is left. A given folder is kept, which is useful if zig itself stays in its
+place (`--no-build-isolation`)."""
 
 
 def get_requires_for_build_wheel(config_settings: dict[str, Any] | None = None) -> list[str]:
@@ -42,7 +42,7 @@ def get_requires_for_build_editable(config_settings: dict[str, Any] | None = Non
 
 
 def has_working_compiler() -> bool:
-    """Return whether the system's compiler makes libraries; those of Windows are of many kinds."""
+    """Return whether the system's compiler builds libraries; on Windows, compilers differ."""
     if sys.platform == "win32":
         return False
     with tempfile.TemporaryDirectory() as folder:
@@ -74,7 +74,7 @@ class BuildHook(BuildHookInterface):
         self._folder.cleanup()
 
     def _build_for_all(self) -> dict[str, str]:
-        """Build in the temporary folder; return where each library is to be in the wheel."""
+        """Build in the temporary folder; return the path of each library in the wheel."""
         included = {}
         for kind in build.KINDS:
             for platform in build.PLATFORMS:

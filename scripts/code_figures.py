@@ -1,11 +1,11 @@
-"""Count what makes a code base easy or hard to own.
+"""Count figures of the maintainability of a code base.
 
     python scripts/code_figures.py [ROOT]
 
-Of the packages, and of them without `closed_loop`: files, lines, lines of
-code (no docstrings, imports, comments and blanks), the share of import lines, modules that exactly
-one other imports, modules below 60 lines, file names that stand twice, and circles of imports; the
-functions and files that a fit of the embedded example executes, from Python.
+For the packages, with and without `closed_loop`: files, lines, lines of code (no docstrings,
+imports, comments and blanks), the share of import lines, modules that are imported by exactly one
+other, modules below 60 lines, duplicate file names, and circular imports. Also the functions and
+files that a fit of the embedded example executes in Python.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ places = [sys.argv[1] + "/" + package for package in sys.argv[2:]]
 own = [c for c in seen if c.co_filename.startswith(tuple(places)) and c.co_name[0] != "<"]
 print(len(own), "functions in", len({code.co_filename for code in own}), "files")
 """
-"""Prints what a fit calls; what was only imported does not count."""
+"""Program that prints the functions called by a fit, without functions called only by imports."""
 
 
 def main() -> None:
@@ -88,7 +88,7 @@ def _import_lines(tree: ast.Module) -> set[int]:
 
 
 def _code(text: str, tree: ast.Module) -> list[str]:
-    """The lines that are code; a text that stands alone is a docstring."""
+    """Return the lines of code; a text that stands alone is a docstring."""
     left = _import_lines(tree)
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -107,7 +107,7 @@ def _imported(tree: ast.AST, modules: dict[str, Path]) -> Iterator[str]:
 
 
 def _at_once(trees: dict[str, ast.Module], modules: dict[str, Path]) -> dict[str, set[str]]:
-    """What each module imports when it is imported itself."""
+    """Return the modules that each module imports when it is imported itself."""
     return {
         name: {other for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)
                for other in _imported(node, modules)} - {name}
@@ -116,7 +116,7 @@ def _at_once(trees: dict[str, ast.Module], modules: dict[str, Path]) -> dict[str
 
 
 def _circles(graph: dict[str, set[str]]) -> list[set[str]]:
-    """Sets of modules of which each is reached from each other."""
+    """Return sets of modules that import each other, directly or not."""
     reached = {name: set(found) for name, found in graph.items()}
     for through in graph:
         for found in reached.values():

@@ -71,7 +71,7 @@ def exponential() -> list[str]:
     for j in range(128):
         value = mpf(2) ** (mpf(j) / 128)
         rounded = float(value)
-        # The exponent's field is filled by adding the whole n = 128 m + j, so j comes off here.
+        # The complete n = 128 m + j is added to the exponent's field, so j is subtracted here.
         field = (int.from_bytes(to_bytes(rounded), "big") - (j << 45)) % 2**64
         rows.append(f"{{{number((value - rounded) / rounded)}, 0x{field:016x}}}")
     high, low = leading(LN2 / 128, -43), LN2 / 128 - leading(LN2 / 128, -43)
@@ -157,9 +157,9 @@ def split(value: mpf) -> tuple[mpf, mpf]:
 def log_point(first: mpf, last: mpf) -> tuple[mpf, mpf]:
     """Return a double c and nearly 1/c for a cell, so that (z - c) / c is nearly exact near 1.
 
-    The error of the product with the reciprocal has two parts, that of the reciprocal and that
-    of rounding, which is zero where the factors have at most 53 bits. Taken is what makes both
-    together smallest beside the cell's smallest logarithm.
+    The error of the product with the reciprocal has two parts: that of the reciprocal and that of
+    rounding. The latter is zero if the factors have at most 53 bits. The result minimises the sum
+    of both relative to the cell's smallest logarithm.
     """
     if 1 - mpf(2) ** -9 <= last and first < 1:
         return mpf(1), mpf(1)
@@ -190,7 +190,7 @@ def trigonometric() -> list[str]:
     for k in range(-32, 32):
         high, low = pair(mpmath.sin(k * PI / 64) if k else mpf(0))
         cosine = mpf(0) if k == -32 else mpmath.cos(k * PI / 64)
-        # So few bits that the product with any number is exact.
+        # With so few bits, the product with any number is exact.
         rough = mpmath.nint(2 * cosine) / 2
         values = (high, low, rough, cosine - rough)
         sines.append("{" + ", ".join(number(v) for v in values) + "}")
@@ -301,7 +301,7 @@ def hyperbolic() -> list[str]:
         rows.append(f"{{{number(high)}, {number(low)}, {number(1 - value**2)}}}")
 
     def weight(u: mpf) -> mpf:
-        # A step d is at most 1/64 of x, and counts by (1 - tanh(x)**2) d / tanh(x).
+        # A step d is at most 1/64 of x; its weight is (1 - tanh(x)**2) d / tanh(x).
         d = mpmath.sqrt(u)
         x = max(64 * d, mpf(1) / 8)
         return u * (1 - mpmath.tanh(x) ** 2) * d / mpmath.tanh(x)
@@ -336,7 +336,7 @@ def hyperbolic() -> list[str]:
 
 
 def series(term: Callable[[int], mpf]) -> mpf:
-    """Return the sum of a series of which 32 terms give all digits."""
+    """Return the sum of a series whose first 32 terms give all digits."""
     return mpmath.fsum(term(k) for k in range(32))
 
 
@@ -357,13 +357,13 @@ def leading(value: mpf, exponent: int) -> mpf:
 
 
 def pair(value: mpf) -> tuple[mpf, mpf]:
-    """Return the nearest double and the double nearest to what it misses."""
+    """Return the nearest double, and the double nearest to the remainder."""
     high = mpf(float(value))
     return high, mpf(float(value - high))
 
 
 def to_bytes(value: float) -> bytes:
-    """Return the bits of a double, the sign's first."""
+    """Return the bits of a double, with the sign's bit first."""
     return struct.pack(">d", value)
 
 
@@ -390,7 +390,7 @@ def polynomial(
     coefficients: list[mpf] = []
     for count in range(terms, 0, -1):
         coefficients.append(mpf(float(remez(points, values, weights, count)[0])))
-        # What is left is divided by x, and fitted with one term less.
+        # The remainder is divided by x, and fitted with one term less.
         kept = [i for i in range(len(points)) if points[i] != 0]
         values = [(values[i] - coefficients[-1]) / points[i] for i in kept]
         weights = [weights[i] * abs(points[i]) for i in kept]
@@ -407,7 +407,7 @@ def polynomial(
 
 
 def value_at(coefficients: Sequence[mpf], x: mpf) -> mpf:
-    """Return a polynomial's value, coefficients from the constant on."""
+    """Return a polynomial's value; the constant coefficient comes first."""
     value = mpf(0)
     for coefficient in reversed(coefficients):
         value = value * x + coefficient
@@ -426,7 +426,7 @@ def chebyshev(domain: tuple[mpf, mpf], count: int) -> list[mpf]:
 def remez(
     points: Sequence[mpf], values: Sequence[mpf], weights: Sequence[mpf], terms: int
 ) -> list[mpf]:
-    """Return the coefficients that make the largest weighted error on the points smallest."""
+    """Return the coefficients that minimise the largest weighted error on the points."""
     used = [i for i in range(len(points)) if weights[i] != 0]
     count = terms + 1
     chosen = [used[round(k * (len(used) - 1) / (count - 1))] for k in range(count)]
@@ -447,7 +447,7 @@ def remez(
 
 
 def alternating(errors: dict[int, mpf], count: int) -> list[int]:
-    """Return where the error is largest between two changes of its sign, `count` places."""
+    """Return `count` positions of the largest errors between changes of sign."""
     places: list[int] = []
     for i, error in errors.items():
         if places and (errors[places[-1]] > 0) == (error > 0):
@@ -456,7 +456,7 @@ def alternating(errors: dict[int, mpf], count: int) -> list[int]:
         else:
             places.append(i)
     while len(places) > count:
-        # The end with the smaller error goes.
+        # The end with the smaller error is removed.
         del places[0 if abs(errors[places[0]]) < abs(errors[places[-1]]) else -1]
     if len(places) < count:
         raise ArithmeticError(f"{len(places)} extrema for {count}")
@@ -467,7 +467,7 @@ def alternating(errors: dict[int, mpf], count: int) -> list[int]:
 
 
 def number(value: mpf) -> str:
-    """Return the nearest double as C writes it exactly."""
+    """Return the nearest double as an exact C literal."""
     return float(value).hex()
 
 

@@ -1,13 +1,14 @@
 """Hands nearly valid configs, tables and FMUs to the commands: what may no user ever see?
 
-Every input must end in seconds with exit code 0, 1 or 2, and with a sentence on each line if it is
-2: no exception, no warning, no crash, nothing written. Inputs come from Hypothesis and run in
-processes of their own, so that one that crashes or hangs is counted and the next ones still run.
+Every input must end within seconds with exit code 0, 1 or 2, and for code 2 with a sentence on each
+line. There must be no exception, no warning, no crash, and no written file. Inputs come from
+Hypothesis and run in separate processes, so that a crash or a hang is counted and does not stop the
+next inputs.
 
     python scripts/fuzz.py --inputs 10000 --seed 0
 
-prints how many inputs of each kind ended how, the slowest, and each fault once; the input of a
-fault is kept in the folder of --keep. Exit code 1 if there is a fault.
+prints the outcomes of the inputs by kind, the slowest input, and each fault once. The input of a
+fault is stored in the folder of --keep. The exit code is 1 if there is a fault.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ from fuzzing.inputs import INPUTS
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 CHUNK = 250
-"""Inputs that one process handles."""
+"""Number of inputs of one process."""
 LONGEST_SECONDS = 30.0
-"""After which an input counts as one that hangs."""
+"""Seconds after which an input counts as hanging."""
 
 
 @dataclass
 class Tally:
-    """What came of all inputs so far."""
+    """Outcomes of all inputs so far."""
 
     codes: collections.Counter[tuple[str, str]] = field(default_factory=collections.Counter)
     faults: dict[str, list[Path]] = field(default_factory=lambda: collections.defaultdict(list))
@@ -85,7 +86,7 @@ def main() -> int:
 
 
 def _chunk(tally: Tally, count: int, number: int, keep: Path) -> int:
-    """Run inputs in a process until it has done all, or died of one; how many those were."""
+    """Run inputs in a process until all are done or it dies; return their number."""
     mine, theirs = Pipe()
     home = Path(tempfile.mkdtemp(prefix="fuzz-run-"))
     process = get_context("fork").Process(target=_serve, args=(theirs, count, number, home))
@@ -120,9 +121,9 @@ def _chunk(tally: Tally, count: int, number: int, keep: Path) -> int:
 
 
 def _serve(connection: Connection, count: int, number: int, home: Path) -> None:
-    """Make inputs and run them; each is told before it begins."""
+    """Make inputs and run them; each is reported before it starts."""
     os.environ["CLUSTER_EST_CACHE"] = str(home / "cache")
-    with (home / "native").open("ab") as native:  # what libraries write past Python
+    with (home / "native").open("ab") as native:  # for output of libraries that bypasses Python
         os.dup2(native.fileno(), 1)
         os.dup2(native.fileno(), 2)
 
@@ -149,12 +150,12 @@ def _serve(connection: Connection, count: int, number: int, home: Path) -> None:
 
     try:
         run()
-    except Exception:  # Hypothesis itself: the parent says so
+    except Exception:  # an error of Hypothesis, which the parent reports
         connection.send(traceback.format_exc())
 
 
 def _keep(given_input: Input, verdict: Verdict, keep: Path) -> Path:
-    """Write an input with a fault to a folder of its own."""
+    """Write an input with a fault to its own folder."""
     if not verdict.fault:
         return keep
     folder = keep / f"{len(list(keep.iterdir())):04d}"
@@ -166,7 +167,7 @@ def _keep(given_input: Input, verdict: Verdict, keep: Path) -> Path:
 
 
 def _last_lines(fault: str) -> str:
-    """Where an exception came from and what it said: enough to tell faults apart."""
+    """Return the origin and the message of an exception, which distinguish faults."""
     return "\n".join(line[:300] for line in fault.strip().split("\n")[-3:])
 
 

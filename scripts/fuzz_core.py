@@ -3,9 +3,9 @@
     python scripts/fuzz_core.py --runs 1000000 --seed 1
 
 builds `scripts/fuzzing/core` with clang and its libFuzzer (Debian: apt install clang
-libclang-rt-14-dev) and runs each fuzzer from the inputs in `tests/integration/core/fuzzed` on. Exit
-code 1 if something was found; its input is kept in the folder of --keep. One that is mended belongs
-to those inputs.
+libclang-rt-14-dev) and runs each fuzzer, starting from the inputs in
+`tests/integration/core/fuzzed`. The exit code is 1 if a fault was found; its input is stored in the
+folder of --keep. After a fault is corrected, its input should be added to those inputs.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from workers.core import build  # noqa: E402
 
 SOURCES = Path(__file__).parent / "fuzzing" / "core"
 KNOWN = ROOT / "tests" / "integration" / "core" / "fuzzed"
-"""Inputs to begin with, in a folder for each fuzzer: some programs, and what was found once."""
+"""Initial inputs, in a folder for each fuzzer: some programs, and inputs of earlier faults."""
 FUZZERS = {"programs": 1024, "fmus": 512}
-"""Each with the bytes of its longest input."""
+"""The fuzzers, with the bytes of their longest inputs."""
 FLAGS = (
     "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno", "-foptimize-sibling-calls",
     "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror",
 )  # fmt: skip
 SANITIZERS = {"address": "address,undefined", "memory": "memory"}
-"""The second one looks for numbers that were never set, which only clang does."""
+"""The second one detects uninitialised values; only clang supports it."""
 SECONDS_OF_ONE = 30
 
 
 def sources(fuzzer: str, *others: str) -> list[Path]:
-    """Return the files of a fuzzer, with the core's."""
+    """Return the source files of a fuzzer, including the core's."""
     own = [
         SOURCES / f"{name}.c"
         for name in ("tape", "stub", "integrator", "machines", fuzzer, *others)
@@ -49,7 +49,7 @@ def sources(fuzzer: str, *others: str) -> list[Path]:
 
 
 def build_fuzzer(clang: str, fuzzer: str, target: Path, sanitizers: str = "address") -> bool:
-    """Build a fuzzer; returns False if clang has no libFuzzer."""
+    """Build a fuzzer; return False if clang has no libFuzzer."""
     asked = f"-fsanitize=fuzzer,{SANITIZERS[sanitizers]}"
     linked = (f"-I{build.HERE}", "-lm", "-ldl")
     command = [clang, *FLAGS, asked, *map(str, sources(fuzzer)), *linked]
@@ -64,10 +64,10 @@ def build_fuzzer(clang: str, fuzzer: str, target: Path, sanitizers: str = "addre
 def run_fuzzer(
     binary: Path, fuzzer: str, corpus: Path, runs: int, seed: int
 ) -> subprocess.CompletedProcess[str]:
-    """Run a fuzzer with so many inputs from a seed; what is new goes to a folder, as what it finds.
+    """Run a fuzzer with a number of inputs from a seed; store new inputs and faults in a folder.
 
-    Returns what it said; its exit code is 0 if nothing was found. A shell starts it: Linux counts
-    the memory of who starts a program as that program's own greatest, which libFuzzer limits.
+    Return its result; its exit code is 0 if no fault was found. A shell starts it, because Linux
+    counts the parent's memory as the maximum of a new process, which libFuzzer limits.
     """
     command = [
         "sh", "-c", '"$@"; exit $?', "sh",
@@ -81,7 +81,7 @@ def run_fuzzer(
 
 
 def surroundings() -> dict[str, str]:
-    """Return the environment of a fuzzer, which says where fmpy has CVODE for this platform."""
+    """Return the environment of a fuzzer, with the path of fmpy's CVODE for this platform."""
     found = importlib.util.find_spec("fmpy")
     if found is None or found.origin is None:
         return dict(os.environ)

@@ -5,13 +5,13 @@
     python scripts/league.py page runs/league --to league.md
     python scripts/league.py convert FOLDER
 
-`run` does what has not been done yet, with default settings: two fits and a closed loop of each
-case of `configs/league`, and a fit and a closed loop of each case on an official split. `page`
-writes what came of them, with a picture of each case. `convert` writes the tables that some configs
-need into a folder, which CLUSTER_EST_CONVERTED must name if these configs are to be used by
-themselves; `run` does so by itself.
+`run` performs the missing runs with default settings: two fits and a closed loop for each case of
+`configs/league`, and a fit and a closed loop for each case on an official split. `page` writes the
+results, with a picture of each case. `convert` writes the tables that some configs need to a
+folder. CLUSTER_EST_CONVERTED must name this folder if these configs are used alone; `run` does this
+itself.
 
-The data are not part of this project: cluster_est/docs/measured_data.md says where they go.
+The data are not part of this project; see cluster_est/docs/measured_data.md.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from measured_league.runs import DATA, Kind, run_cases
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what the command line says."""
+    """Run the requested action."""
     options = parse(arguments)
     if options.action == "convert":
         return _convert(options.folder)
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def chosen_cases(only: Sequence[str]) -> list[LeagueCase]:
-    """The cases of these names, or all."""
+    """Return the cases with these names, or all."""
     cases = [*all_cases(), *official_cases()]
     unknown = set(only) - {case.name for case in cases}
     if unknown:

@@ -1,8 +1,8 @@
 """Write the measurements of the examples: a mass on a spring, with and without dry friction, and a
 spring with hysteresis.
 
-The equations are written here once more, apart from the FMU, and solved to a much tighter
-tolerance, so that an estimate from these data also checks the FMU. The noise is reproducible.
+The equations are implemented here independently of the FMU, and solved with a much tighter
+tolerance. So an estimate from these data also checks the FMU. The noise is reproducible.
 
     python scripts/make_example_data.py
 """
@@ -61,7 +61,7 @@ def binary_sequence(time: Array, random: np.random.Generator) -> Array:
 
 
 def no_force(time: Array, _: np.random.Generator) -> Array:
-    """Return no force: the mass is released and left alone."""
+    """Return no force: the mass is released at rest."""
     return np.zeros_like(time)
 
 
@@ -74,7 +74,7 @@ EXPERIMENTS: list[tuple[Waveform, float]] = [  # waveform and initial position i
 ]
 
 
-RUBBING: list[tuple[Waveform, float]] = [  # those of the mass whose guide rubs
+RUBBING: list[tuple[Waveform, float]] = [  # experiments of the mass with dry friction
     (multisine, 0.0),
     (held_steps, 0.0),
     (binary_sequence, 0.0),
@@ -128,7 +128,7 @@ def write(path: Path, columns: dict[str, list[str]]) -> None:
 
 
 def internal_displacement(time: Array) -> Array:
-    """Solve the equation of the Bouc-Wen model from W_0, piece by piece between its kinks.
+    """Solve the equation of the Bouc-Wen model from W_0, piecewise between its kinks.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def internal_displacement(time: Array) -> Array:
         hysteresis = SIGMA * np.abs(velocity) * size ** (N - 1.0) * w
         return np.asarray(RHO * (velocity - hysteresis + (SIGMA - 1.0) * velocity * size**N))
 
-    turns = np.pi * np.arange(0.5, time[-1] / np.pi)  # the velocity changes its sign
+    turns = np.pi * np.arange(0.5, time[-1] / np.pi)  # the velocity changes sign
     state, path = np.array([W_0]), [W_0]
     for first, last in pairwise([0.0, *turns, time[-1]]):
         wanted = time[(time > first) & (time <= last)]
@@ -161,8 +161,9 @@ def internal_displacement(time: Array) -> Array:
 def hysteresis_loop() -> dict[str, Array]:
     """Return displacement and force of the spring, at rest, in its transient and in its loop.
 
-    Without the samples at rest the noise of a single one would decide whether the true curve begins
-    beyond the end of the measured one, where the nearest piece is on another branch of the loop.
+    Samples at rest are needed because the noise of a single sample would determine whether the true
+    curve begins beyond the end of the measured one. There, the nearest segment is on another
+    branch.
     """
     time = np.linspace(0.0, 2.0 * np.pi * CYCLES, POINTS * CYCLES + 1)
     displacement = AMPLITUDE * np.sin(time)

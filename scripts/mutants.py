@@ -1,8 +1,8 @@
 """Measure what tests protect: change one thing at a time in a module, and see whether they fail.
 
-A mutant has one comparison, operator, number, condition, filter or call less or other than the
-module. What no test notices is printed as survived: some change nothing (a tolerance a little
-wider), the others are gaps (R. A. DeMillo, R. J. Lipton, F. G. Sayward,
+A mutant differs from the module in one comparison, operator, number, condition, filter or call.
+Mutants that no test detects are printed as survived. Some change nothing (a slightly wider
+tolerance), the others reveal gaps (R. A. DeMillo, R. J. Lipton, F. G. Sayward,
 Computer 11(4) (1978) 34-41, doi:10.1109/C-M.1978.218136)::
 
     python scripts/mutants.py cluster_est/executors/log_replay.py tests/unit/cluster_est/executors
@@ -26,17 +26,17 @@ PAIRS: tuple[tuple[type[ast.AST], type[ast.AST]], ...] = (
 )  # fmt: skip
 SWAPPED = dict(PAIRS) | {b: a for a, b in PAIRS} | {ast.Pow: ast.Mult}
 SECONDS = 1200.0
-"""After which tests count as failed: a mutant may loop for ever."""
+"""Seconds after which tests count as failed, because a mutant may not terminate."""
 
 
 def _swap(node: ast.AST, name: str) -> None:
-    """Put the opposite operator in the place of one."""
+    """Replace an operator by its opposite."""
     operator = getattr(node, name)
     setattr(node, name, SWAPPED[type(operator)]())
 
 
 def mutants(tree: ast.Module) -> Iterator[int]:
-    """Yield the line of each change that can be made, while the module is as changed."""
+    """Yield the line of each possible change, while the module is changed."""
     ignored: set[int] = set()
     for node in ast.walk(tree):
         parts: list[ast.AST] = []

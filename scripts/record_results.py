@@ -44,14 +44,14 @@ CLOCKS = {
     "pool",
     "time_stamp",
 }
-"""Columns and keys that hold readings of a clock, places, or who happened to do the work."""
+"""Columns and keys with times, paths, or names of workers."""
 SKIPPED = {"report.html", "workers.parquet"}
 LOG_ORDER = ("search", "evaluation", "experiment", "purpose", "want")
 TABLES = {".parquet", ".arrow", ".feather"}
 
 
 def main() -> int:
-    """Record or compare, as the command line says."""
+    """Record or compare, according to the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     actions = parser.add_subparsers(dest="action", required=True)
     record = actions.add_parser("record")
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def cases() -> Iterator[tuple[str, list[list[str]]]]:
-    """A name, and the commands whose outputs are recorded; OUT stands for the case's folder."""
+    """Yield a name, and the commands whose outputs are recorded; OUT is the case's folder."""
     for config in sorted(CONFIGS.glob("*.toml")):
         if config.stem == "sweep":
             continue
@@ -91,7 +91,7 @@ def cases() -> Iterator[tuple[str, list[list[str]]]]:
             [["fit", spring, *where, "multistart.n=4", "--out", "OUT/run", "--no-report"]],
         )
     intervals = ['uncertainty.profiles=["all"]', "uncertainty.bootstrap=20"]
-    intervals += ["experiments.exp4.role=train"]  # a bootstrap draws from five at least
+    intervals += ["experiments.exp4.role=train"]  # a bootstrap needs at least five
     yield "uncertainty", [["fit", spring, *intervals, "--out", "OUT/run", "--no-report"]]
     for method in METHODS:
         chosen = [f"method.name={method}", "budget.evaluations=300"]
@@ -138,7 +138,7 @@ METHODS = (
 
 
 def record_all(folder: Path, only: str) -> int:
-    """Run every case into a folder of its own, with what it prints."""
+    """Run every case in its own folder, with its output."""
     shared = Path.cwd().parent / "shared" / "data"
     environment = {"CLUSTER_EST_DATA": str(shared)} | dict(os.environ) | {"COLUMNS": "120"}
     failed = 0
@@ -162,7 +162,7 @@ def record_all(folder: Path, only: str) -> int:
 
 
 def compare_all(before: Path, after: Path) -> int:
-    """Name every file, column or key that differs; 1 if anything does."""
+    """Print every file, column or key that differs; return 1 if there is a difference."""
     wrong = 0
     names = sorted(
         {_name(p, before) for p in _files(before)} | {_name(p, after) for p in _files(after)}
@@ -198,7 +198,7 @@ def _name(path: Path, folder: Path) -> str:
 def _differences(one: Path, other: Path) -> Iterator[str]:
     if one.suffix in TABLES:
         tables = [_read(p) for p in (one, other)]
-        if one.parent.name == "evaluations":  # a log: in the order in which answers came
+        if one.parent.name == "evaluations":  # a log, in the order of the answers
             tables = [t.sort_by([(key, "ascending") for key in LOG_ORDER]) for t in tables]
         yield from _table_differences(tables[0], tables[1])
     elif one.suffix == ".json":
@@ -234,7 +234,7 @@ def _table_differences(one: pa.Table, other: pa.Table) -> Iterator[str]:
 
 
 def _bytes(column: pa.ChunkedArray) -> bytes:
-    """Type and values of a column, whatever its chunks."""
+    """Return type and values of a column, independent of its chunks."""
     table = pa.table({"column": column.combine_chunks()}).replace_schema_metadata(None)
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as writer:

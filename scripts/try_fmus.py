@@ -2,18 +2,18 @@
 
     python scripts/try_fmus.py FOLDER [--seconds 60] [--points 101]
 
-Each FMU runs its default experiment with its start values, twice in one process of its own, without
-inputs. All of its numeric outputs are recorded, or some local variables if it has none. For
-co-simulation fmpy takes the same communication points, for model exchange its CVODE; the relative
-tolerance is 1e-8. Where the two differ in co-simulation, a plain loop over fmpy's calls decides,
-which makes the very same steps: fmpy's own loop adds the steps up, and an event that falls upon one
-is then before it or after it.
+Each FMU runs its default experiment with its start values, twice in a separate process, without
+inputs. All of its numeric outputs are recorded, or some local variables if it has none. In
+co-simulation, fmpy uses the same communication points, and in model exchange its CVODE; the
+relative tolerance is 1e-8. If the two differ in co-simulation, a plain loop over fmpy's calls with
+exactly the same steps decides. fmpy's own loop accumulates the steps, so that an event at a
+communication point may be before or after it.
 
-For each interface it says: ``agrees``, with the largest difference over the largest value of that
-output; ``no reset``, where that holds for a new instance alone, which a fit finds out; ``differs``,
-at how many of the times; ``not repeatable``, where two new processes differ, which `check` says
-too; ``refused``, with the sentence that a user would see; ``alone``, where fmpy cannot simulate it,
-with what that says. The counts at the end are by the folders in FOLDER.
+For each interface, the result is one of these: ``agrees``, with the largest difference over the
+largest value of that output; ``no reset``, if only a new instance agrees, which a fit detects;
+``differs``, with the number of times; ``not repeatable``, if two new processes differ, which
+`check` reports too; ``refused``, with the message for a user; ``alone``, if fmpy cannot simulate
+it, with its message. The counts at the end are by the folders in FOLDER.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ Array = NDArray[np.float64]
 NUMBERS = ("real", "integer", "boolean")
 MOST_OUTPUTS, MOST_LOCALS = 200, 30
 CLOSE = {"co_simulation": 1e-9, "model_exchange": 1e-5}
-"""Up to which relative difference the two agree."""
+"""Largest relative difference of curves that agree."""
 TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is simulated: an FMU in one interface. `step` is that of communication."""
+    """An FMU in one interface to simulate; `step` is the communication step."""
 
     file: Path
     description: ModelDescription
@@ -60,7 +60,7 @@ class Trial:
 
 
 def main() -> int:
-    """Compare every archive, print a line for each interface and the counts; 1 if one differs."""
+    """Compare all archives, print a line for each interface; return 1 if one differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seconds", type=float, default=60.0, help="that each trial may take")
@@ -80,7 +80,7 @@ def main() -> int:
 
 
 def compared(file: Path, seconds: float, points: int) -> Iterator[tuple[str, str]]:
-    """Give each interface of an archive, and what came of it."""
+    """Yield each interface of an archive, and its result."""
     try:
         description = describe(file.name, file.read_bytes())
     except ModelError as error:
@@ -92,7 +92,7 @@ def compared(file: Path, seconds: float, points: int) -> Iterator[tuple[str, str
 
 
 def trial(file: Path, description: ModelDescription, interface: Interface, points: int) -> Trial:
-    """An FMU's default experiment, or a second of its time."""
+    """Return an FMU's default experiment, or a second of simulation."""
     start = description.default_start or 0.0
     stop = description.default_stop
     stop = stop if stop is not None and stop > start else start + 1.0
@@ -117,7 +117,7 @@ def recorded(description: ModelDescription) -> tuple[str, ...]:
 
 
 def compare_curves(given: Trial, seconds: float) -> str:
-    """What becomes of one trial, in words."""
+    """Return the result of one trial in words."""
     if not given.outputs:
         return "refused: has no numeric output or local variable to look at"
     first, second = simulated(given, seconds)
@@ -146,7 +146,7 @@ def compare_curves(given: Trial, seconds: float) -> str:
 def _difference(given: Trial, found: Array, reference: Array) -> str:
     scales = np.maximum(np.abs(reference).max(axis=0), 1e-12)
     difference = np.abs(found - reference) / scales
-    # what is smaller than the absolute tolerance of both solvers says nothing
+    # differences below the absolute tolerance of both solvers are ignored
     unsaid = TOLERANCE / scales if given.interface == "model_exchange" else 0.0
     far = (~(difference <= np.maximum(CLOSE[given.interface], unsaid))).any(axis=1)
     text = f"largest difference {np.nanmax(difference):.1e} in {len(given.outputs)} outputs"
@@ -157,7 +157,7 @@ def _difference(given: Trial, found: Array, reference: Array) -> str:
 
 
 def simulated(given: Trial, seconds: float) -> tuple[Array | str, Array | str]:
-    """(times, outputs) of two simulations in a row, or why they failed."""
+    """Return (times, outputs) of two consecutive simulations, or why they failed."""
     exchange = given.interface == "model_exchange"
     zero = np.zeros(len(given.times))
     outputs = tuple(Output(name, given.times, zero) for name in given.outputs)
@@ -186,7 +186,7 @@ def values(outcome: Outcome, times: Array) -> Array | str:
 
 
 def referred(given: Trial, seconds: float, values: dict[str, float] | None = None) -> Array | str:
-    """(times, outputs) of fmpy, from a process of its own, or what it says."""
+    """Return (times, outputs) of fmpy from a separate process, or its message."""
     exchange = given.interface == "model_exchange"
     variables = given.description.variables
     asked: dict[str, object] = {
@@ -205,7 +205,7 @@ def referred(given: Trial, seconds: float, values: dict[str, float] | None = Non
 
 
 def stepped(given: Trial, seconds: float) -> Array | str:
-    """(times, outputs) of a plain loop over fmpy's calls; only for scalars of FMI 2.0."""
+    """Return (times, outputs) of a plain loop over fmpy's calls; only for scalars of FMI 2.0."""
     variables = [given.description.variables[name] for name in given.outputs]
     if given.description.version != "2.0":
         return "of FMI 3.0"
@@ -216,7 +216,7 @@ def stepped(given: Trial, seconds: float) -> Array | str:
 
 
 def _answer(program: str, asked: object, seconds: float) -> Array | str:
-    """Return the table that a program prints, or what it says."""
+    """Return the table that a program prints, or its message."""
     command = [sys.executable, "-c", program, json.dumps(asked)]
     try:
         ended = subprocess.run(command, capture_output=True, timeout=2.0 * seconds, check=False)
@@ -231,12 +231,12 @@ def _answer(program: str, asked: object, seconds: float) -> Array | str:
 
 
 def _whole(variable: ModelVariable) -> str:
-    """The name of an array for one of its elements."""
+    """Return the name of the array that contains an element."""
     return variable.name.rpartition("[")[0] if variable.shape else variable.name
 
 
 def on_times(table: Array, given: Trial) -> Array:
-    """The reference at the compared times; between its own times as the project promises it."""
+    """Return the reference at the compared times, interpolated as the project does."""
     columns: list[Array] = []
     for name, column in zip(given.outputs, table[:, 1:].T, strict=True):
         moves = given.description.variables[name].is_continuous

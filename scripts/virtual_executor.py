@@ -1,4 +1,4 @@
-"""Workers with virtual clocks: for studies of scheduling, where no simulation runs."""
+"""Workers with virtual clocks, for studies of scheduling without simulations."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ Seconds = Callable[[Task, np.random.Generator], float]
 
 
 class VirtualExecutor(Executor):
-    """Answers with the values of functions, at the times at which workers would have them.
+    """Answers with the values of functions, at the times at which workers would finish.
 
-    For studies of how methods use workers that simulations keep busy for different times. Nothing
-    sleeps: a clock jumps from one end of a task to the next. A task travels alone and at once. The
+    It is for studies of how methods use workers with different simulation times. Nothing sleeps: a
+    clock jumps from one end of a task to the next. Each task is sent alone and without delay. The
     coordinator's own work takes no virtual time unless a clock measures it.
 
     Parameters
     ----------
     residuals
-        Of a task; values that are not finite count as a failed simulation. All of them will do
-        where it wants them reduced, unless the method keeps outputs apart.
+        Returns the residuals of a task; values that are not finite mean a failed simulation. It may
+        return all residuals for a reduced answer, unless the method keeps outputs apart.
     seconds
-        How long a task keeps its worker busy. The generator given to it is the same for the same
-        number of a task, whatever ran before and on however many workers; infinite for one that
-        never ends.
+        Returns how long a task keeps its worker busy. Its generator depends only on the number of
+        the task, and not on earlier tasks or the number of workers. Infinite for a task that never
+        ends.
     workers
-        How many there are. Each takes the task that has waited longest.
+        Number of workers. Each takes the task that has waited longest.
     constraints
-        Of a task; none if left out.
+        Returns the constraints of a task; by default, there are none.
     seed
-        Of those generators.
+        Seed of those generators.
     clock
-        Reads seconds. What passes on it while the coordinator works passes on the virtual clock
-        too; workers go on meanwhile with what is queued, and stand idle where nothing is.
+        Returns seconds. Time that passes on it while the coordinator works also passes on the
+        virtual clock. Meanwhile, workers continue with queued tasks, and are idle without any.
 
     Attributes
     ----------
     now
         Virtual seconds since the beginning.
     coordinator
-        Of these, how many the coordinator has worked, as the clock says.
+        Virtual seconds in which the coordinator has worked.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class VirtualExecutor(Executor):
         self._left = self._clock()
 
     def completed(self) -> list[Outcome]:
-        """All that have ended meanwhile; else advance to the moment at which the next one ends."""
+        """Return all outcomes that ended meanwhile; otherwise advance to the next end of a task."""
         self._resume()
         outcomes: list[Outcome] = []
         if self._running:
@@ -110,7 +110,7 @@ class VirtualExecutor(Executor):
 
     @property
     def busy_share(self) -> float:
-        """Part of the workers' time so far in which they had something to do."""
+        """Share of the workers' time so far in which they were busy."""
         under_way = sum(min(end, self.now) - begin for end, _, begin, _ in self._running)
         return (self._worked + under_way) / (self.workers * self.now) if self.now > 0.0 else 0.0
 
@@ -119,13 +119,13 @@ class VirtualExecutor(Executor):
         self._running.clear()
 
     def _resume(self) -> None:
-        """Let pass what the coordinator has worked since it was left."""
+        """Advance by the time that the coordinator has worked."""
         worked = self._clock() - self._left
         self.now += worked
         self.coordinator += worked
 
     def _begin(self, moment: float) -> None:
-        """Give idle workers what is queued, at the moment at which the last one ended its task."""
+        """Give queued tasks to idle workers, at the end of the last task."""
         while self._queue and len(self._running) < self.workers:
             submitted, task = self._queue.popleft()
             begin = max(moment, submitted)

@@ -1,5 +1,5 @@
-"""The worker's side of cluster-est.
+"""The simulation part of cluster-est, which runs in workers.
 
-It answers one question: for these values, this experiment and this model, what are the outputs
-and the residuals? Users import `cluster_est`; nothing here is public.
+Given parameter values, an experiment and a model, it computes the outputs and the residuals. Users
+import `cluster_est`; nothing here is public.
 """

@@ -15,9 +15,9 @@ from workers.wire import OutcomeColumns, TaskBatch
 
 @ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)
 class FmuActor:
-    """An actor whose FMU lives in another process. Ray never restarts it: the pool replaces it.
+    """An actor whose FMU runs in a separate process. Ray never restarts it; the pool replaces it.
 
-    It loads nothing before it is asked whether it is ready, so that it can say where it is before.
+    It loads the FMU only in `ready`, so that it can report its node before.
     """
 
     _evaluator: SupervisedEvaluator
@@ -33,16 +33,16 @@ class FmuActor:
     ) -> None:
         self._installation = model, experiments, name, limits
         self._pool = pool
-        if folder:  # that of the program, which FMUs may read files of
-            with contextlib.suppress(OSError):  # it has been removed
+        if folder:  # the program's folder, in which FMUs may read files
+            with contextlib.suppress(OSError):  # it was removed
                 os.chdir(folder)
 
     def node(self) -> str:
-        """Return the id of the node that it is on."""
+        """Return the id of the actor's node."""
         return str(ray.get_runtime_context().get_node_id())
 
     def ready(self, worker: int) -> bool:
-        """Load the FMU as one of the pool's workers; raise what went wrong otherwise."""
+        """Load the FMU as one of the pool's workers, or raise an exception."""
         model, experiments, name, limits = self._installation
         model = model.of_worker(worker)
         share_template(self._pool)
@@ -54,9 +54,9 @@ class FmuActor:
         return OutcomeColumns.of(self._evaluator.evaluate(batch))
 
     def free_instance(self) -> None:
-        """Let the FMU go until there is something to do."""
+        """Free the FMU's instance until the next task."""
         self._evaluator.free_instance()
 
     def once(self, batch: TaskBatch) -> OutcomeColumns:
-        """Answer a batch of tasks, each at the first attempt."""
+        """Answer a batch of tasks with one attempt for each."""
         return OutcomeColumns.of([self._evaluator.once(task) for task in batch.tasks()])

@@ -1,7 +1,7 @@
-"""Folders for what is kept between runs: unpacked FMUs and the simulation core.
+"""Folders for files that are kept between runs: unpacked FMUs and the simulation core.
 
-What is read from them is executed, so that they must belong to this user, and nobody else may write
-into them. Where there is no such folder, a temporary one takes its place.
+Their files are executed, so the folders must belong to this user, and nobody else may write to
+them. If there is no such folder, a temporary one is used.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from workers.errors import ModelError
 
 KEY = "CLUSTER_EST_CACHE"
 _replaced: dict[str, str] = {}
-"""Where caches are that cannot be in the folder that was meant, by the folder."""
+"""Replacements of folders that cannot be used, by folder."""
 _last_resorts: list[Path] = []
 
 
 def cache_folder(kind: str, chosen: str = "") -> Path:
-    """Return the folder of a kind of cache, which this user alone can write.
+    """Return the folder of a kind of cache, which only this user can write to.
 
     Parameters
     ----------
     kind
-        Its name.
+        Name of the kind.
     chosen
-        The folder that it is in; without, that of `CLUSTER_EST_CACHE`, or the user's.
+        The parent folder; if empty, that of `CLUSTER_EST_CACHE`, or the user's cache folder.
 
     Raises
     ------
     ModelError
-        If no folder can be written.
+        If no folder can be written to.
     """
     meant = chosen or os.environ.get(KEY) or _user_folder()
     if meant and _is_private(Path(meant) / kind):
@@ -53,7 +53,7 @@ def cache_folder(kind: str, chosen: str = "") -> Path:
 
 
 def notice() -> str:
-    """Say where caches are that cannot be where they were meant to be; "" if all are there."""
+    """Return a message about a replaced cache folder; "" if none was replaced."""
     if not _replaced:
         return ""
     meant, base = next(iter(_replaced.items()))
@@ -69,12 +69,12 @@ def notice() -> str:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that nobody ever reads a part of it, not even after a loss of power.
+    """Write a file atomically and durably, so that nobody reads a part of it after a power loss.
 
     Raises
     ------
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
     handle, name = tempfile.mkstemp(prefix=".writing-", dir=path.parent)
     try:
@@ -90,7 +90,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def is_mine(found: os.stat_result) -> bool:
-    """Return whether a file or folder belongs to this user, where that is known."""
+    """Return whether a file or folder belongs to this user; True if the system has no user ids."""
     return found.st_uid == _user() if hasattr(os, "geteuid") else True
 
 
@@ -99,7 +99,7 @@ def _user() -> int:
 
 
 def _user_folder() -> str:
-    """Return the user's folder for caches; "" for a user without a home."""
+    """Return the user's cache folder; "" for a user without a home folder."""
     try:
         found = platformdirs.user_cache_dir("cluster-est")
     except (RuntimeError, KeyError, OSError):
@@ -108,7 +108,7 @@ def _user_folder() -> str:
 
 
 def _others(meant: Path) -> Iterator[Path]:
-    """One of this user in a folder of several; temporary ones of this user, of this process."""
+    """Yield folders to try instead: one per user in `meant`, then temporary ones."""
     if meant != Path():
         yield meant / f"user-{_user()}"
     with contextlib.suppress(OSError):
@@ -119,7 +119,7 @@ def _others(meant: Path) -> Iterator[Path]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Make a folder if it is missing; return whether this user, and nobody else, can write it."""
+    """Make a folder if it is missing; return whether only this user can write to it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()

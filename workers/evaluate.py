@@ -1,6 +1,6 @@
-"""Tasks in, outcomes out. A failed simulation is an outcome like any other; nothing raises.
+"""Evaluators, which answer tasks with outcomes; a failed simulation raises no exception.
 
-Probes ask an evaluator whatever else `cluster-est check` wants to know of an FMU.
+Probes use an evaluator to find out other properties of an FMU for `cluster-est check`.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
 MAX_VALUES = 4_000_000
-"""Simulated values that are kept at once: 32 MB, however long the experiments are."""
+"""Largest number of simulated values kept at once (32 MB), however long the experiments are."""
 
 TOO_LARGE = 1e100
-"""Size of a residual or constraint with whose square, or its derivative, a method could not
-count."""
+"""Limit of the size of a residual or constraint: its square and the derivative of the square must
+not overflow."""
 
 
 class Evaluator:
@@ -57,14 +57,14 @@ class Evaluator:
     Parameters
     ----------
     model, experiments
-        What tasks refer to.
+        Model and experiments of the tasks.
     name
-        What outcomes call this worker.
+        Name of this worker in outcomes.
     load
-        Whether the FMU is loaded. If not, all else is made ready, and `load` follows later: in
-        processes that are forked from this one, each of which loads it for itself.
+        Whether to load the FMU now. Otherwise everything else is prepared, and `load` is called
+        later in forked processes, each of which loads the FMU itself.
     progress
-        Progress that simulations note; see `workers.messages.types`.
+        Array in which simulations record their progress; see `workers.messages.types`.
 
     Raises
     ------
@@ -90,13 +90,13 @@ class Evaluator:
             for i, e in enumerate(experiments)
         ]
         self._name = name
-        core()  # so that no simulation seems to take as long as building it
+        core()  # so that its compilation does not count as simulation time
         if load:
             self.load()
 
     @property
     def simulator(self) -> Simulator:
-        """The simulator, once it is loaded."""
+        """The simulator."""
         return self._simulator
 
     def load(self) -> None:
@@ -105,12 +105,12 @@ class Evaluator:
         Raises
         ------
         ModelError
-            If that does not work on this machine.
+            If the FMU cannot be loaded on this machine.
         """
         self._simulator.load()
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
-        """Answer every task of a batch, in its order."""
+        """Answer every task of a batch, in the same order."""
         process = os.getpid()
         answers: dict[int, Outcome] = {}
         positions: dict[int, list[int]] = {}
@@ -119,18 +119,18 @@ class Evaluator:
         for experiment in sorted(positions):
             for part in self._parts(experiment, positions[experiment]):
                 outcomes = self._simulate(experiment, part, batch)
-                if os.getpid() != process:  # the FMU has forked: its copy must not answer too
+                if os.getpid() != process:  # the FMU has forked; the copy must not answer
                     os._exit(1)
                 answers.update(zip(part, outcomes, strict=True))
         return [answers[i] for i in range(len(batch.ids))]
 
     def free_instance(self) -> None:
-        """Let the instance go; the next simulation makes another one."""
+        """Free the instance; the next simulation creates a new one."""
         self._simulator.instance.free()
 
     @property
     def has_lost_seat(self) -> bool:
-        """True after a fatal error where instances are limited: it is of no use any more."""
+        """Whether a fatal error has used up an instance of a limited number."""
         return has_lost(self.model.seats)
 
     def close(self) -> None:
@@ -138,7 +138,7 @@ class Evaluator:
         self._simulator.close()
 
     def _parts(self, experiment: int, chosen: list[int]) -> list[list[int]]:
-        """Cut a batch so that its outputs fit into memory."""
+        """Divide a batch so that the outputs of each part fit into memory."""
         bound = self._simulator.bound_experiment(experiment)
         size = max(1, len(bound.grid.times) * len(bound.outputs))
         most = max(1, MAX_VALUES // size)
@@ -182,7 +182,7 @@ class Evaluator:
         p: int,
         outcome: Outcome,
     ) -> Outcome:
-        """Add derivatives by the parameters to an outcome, or the reason why it has none."""
+        """Add derivatives by the parameters to an outcome, or the reason why there are none."""
         if not outcome.ok:
             return outcome
         if p not in result.sensitivities:
@@ -197,7 +197,7 @@ class Evaluator:
 class _BatchEvaluation:
     """A batch of simulations of one experiment, with residuals and constraints.
 
-    `seconds` is what each of them cost, `worker` who ran them.
+    `seconds` is the time of each simulation, `worker` the name of the worker.
     """
 
     bound: BoundExperiment
@@ -208,7 +208,7 @@ class _BatchEvaluation:
     worker: str
 
     def outcome(self, task: int, p: int) -> Outcome:
-        """Make the outcome of one point."""
+        """Return the outcome of one point."""
         failed = self._failure(p)
         if failed is not None:
             status, message = failed
@@ -232,14 +232,14 @@ class _BatchEvaluation:
 
     @cached_property
     def _sound(self) -> list[bool]:
-        """Whether each point has reached its end, with numbers that can be counted with."""
+        """Whether the simulation of each point has finished, with numbers below `TOO_LARGE`."""
         finished = self.result.codes == failure.FINISHED
         sound: list[bool] = (finished & self._countable).tolist()
         return sound
 
     @cached_property
     def _countable(self) -> npt.NDArray[np.bool_]:
-        """Whether all numbers of each point can be counted with; what is no number cannot."""
+        """Whether all residuals and constraints of each point are numbers below `TOO_LARGE`."""
         residuals, constraints = self.comparison.residuals, self.comparison.constraints
         countable = (np.abs(residuals) < TOO_LARGE).all(axis=1)
         if constraints.shape[1]:
@@ -247,7 +247,7 @@ class _BatchEvaluation:
         return np.asarray(countable)
 
     def _failure(self, p: int) -> tuple[Status, str] | None:
-        """Return the status and message of a point that failed, None for another."""
+        """Return the status and message of a failed point, None for others."""
         result, comparison = self.result, self.comparison
         if self._sound[p] and not comparison.failures and not result.linearisations:
             return None
@@ -265,7 +265,7 @@ class _BatchEvaluation:
 
 
 def _as_innovations(comparison: BatchComparison, result: SimulationBatch) -> FloatArray:
-    """The residuals, with innovations in the place of those of points that have them."""
+    """Return the residuals; at points with innovations, the innovations replace them."""
     residuals = comparison.residuals.copy()
     for p, innovations in result.innovations.items():
         residuals[p] = innovations
@@ -292,7 +292,7 @@ def _where_not_finite(bound: BoundExperiment, outputs: FloatArray) -> str:
 
 
 def _where_not_linear(found: Linearisation | None) -> str | None:
-    """Return a message if a derivative is not finite."""
+    """Return a message if a derivative is not finite, else None."""
     if found is None:
         return None
     derivatives = tuple(f"der({name})" for name in found.state_names)
@@ -316,14 +316,14 @@ def _where_not_linear(found: Linearisation | None) -> str | None:
 
 
 class FmuProbe(ABC):
-    """Asks for more than a simulation: what `cluster-est check` wants to know of an FMU."""
+    """A question about an FMU that a simulation does not answer, for `cluster-est check`."""
 
     @abstractmethod
     def answer(self, evaluator: Evaluator) -> Any:
-        """Find it out with an FMU that was just loaded; what is returned travels back.
+        """Compute the answer with a newly loaded FMU. The answer is sent to the calling process.
 
         Raises
         ------
         ModelError
-            If it cannot be found out; travels back too.
+            If there is no answer; the exception is sent to the calling process too.
         """

@@ -1,9 +1,8 @@
-"""The times of a simulation: all inputs and all measurements of an experiment on one grid.
+"""The time grid of a simulation, which contains all inputs and all measurements of an experiment.
 
-A solver goes from one time of the grid to the next, so that it never steps across a kink of an
-input, and stands exactly on every time at which something was measured. Where what was measured
-lies between the samples of the inputs, which are about as dense, steps go from one of these to the
-next, and pass over it.
+A solver steps from one time of the grid to the next. So it never steps across a kink of an input,
+and it reaches every time of a measurement exactly. A few measurements may lie between two samples
+of the inputs. Then a step extends from one sample to the next and passes over them.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ import numpy.typing as npt
 from workers.messages import Experiment, FloatArray, Input, IntArray
 
 MOST_PASSED = 2
-"""Times in a row that a step may pass over: with more of them, they and not the inputs would be
-what keeps steps short."""
+"""Largest number of consecutive times that a step may pass over. With more of them, measurements
+and not inputs would limit the step."""
 LEAST_PART = 1e-3
-"""Of the way to the next sample, that the first of them lies behind one: the slope of an input is
-known from there."""
+"""Smallest distance of the first passed time from the sample before it, as a fraction of the
+distance between the samples. The slope of an input is computed from this distance."""
 
 
 class SignalGrid(NamedTuple):
-    """An experiment's signals at its times.
+    """Signals of an experiment at the times of its grid.
 
     Attributes
     ----------
@@ -34,23 +33,23 @@ class SignalGrid(NamedTuple):
     intervals : (n,)
         Seconds from each time to the next.
     inputs : (n, m)
-        Each input, then each signal, at each time; where a held one jumps, its value after it.
+        Each input, then each signal, at each time; at a jump of a held signal, the value after it.
     slopes : (n, m)
-        The slope of each in the interval that starts at this time; 0 where it is held.
+        Slope of each signal in the interval that starts at this time; 0 for a held signal.
     jumps : (n,)
         Whether a held input jumps at this time.
     passed : (n,)
-        Whether a step may pass over this time, as no input or signal has a sample there.
+        Whether a step may pass over this time, because no input or signal has a sample there.
     gather : (k,)
-        Index of each measured value's simulated one in the flattened (n, recorded) outputs.
+        Index of the simulated value of each measurement in the flattened (n, recorded) outputs.
     measured : (k,)
         Measured values, output after output.
     sigmas : (k,)
-        Standard deviation of each.
+        Standard deviation of each measured value.
     by_time : (k,)
         Positions of the measured values in the order of their times.
     row_ends : (n,)
-        How many of them lie at this time or before.
+        Number of measured values at this time or before.
     """
 
     times: FloatArray
@@ -67,9 +66,9 @@ class SignalGrid(NamedTuple):
 
 
 def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> SignalGrid:
-    """Make one grid of an experiment's inputs, signals, measured times and constraints' times.
+    """Return the grid of an experiment's inputs, signals, measured times and constraints' times.
 
-    `recorded` are the variables that are recorded; the experiment's own if empty.
+    `recorded` are the recorded variables; if empty, those of the experiment.
     """
     recorded = recorded or experiment.recorded
     start, stop = experiment.start, experiment.stop
@@ -104,7 +103,7 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
 
 
 def _passed(times: FloatArray, sampled: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
-    """Return the times that a step may pass over, between two at which inputs have samples."""
+    """Return whether a step may pass over each time, between two samples of inputs."""
     known = np.zeros(len(times), np.bool_)
     known[[0, -1]] = True
     for own in sampled:
@@ -117,7 +116,7 @@ def _passed(times: FloatArray, sampled: Sequence[FloatArray]) -> npt.NDArray[np.
 
 
 def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
-    """Make a grid of an experiment's inputs and signals at any times, with nothing measured."""
+    """Return an experiment's inputs and signals at given times, without measurements."""
     signals = (*experiment.inputs, *experiment.signals)
     inputs = [_sample(signal, times) for signal in signals]
     jumps = np.zeros(len(times), np.bool_)
@@ -140,7 +139,7 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
 
 
 def values_at(signal: Input, times: FloatArray) -> FloatArray:
-    """Return a signal at any times, between its samples as it is declared."""
+    """Return a signal at given times, with its declared interpolation between samples."""
     if signal.interpolation == "linear":
         return np.asarray(np.interp(times, signal.times, signal.values))
     latest = np.searchsorted(signal.times, times, side="right") - 1
@@ -148,11 +147,11 @@ def values_at(signal: Input, times: FloatArray) -> FloatArray:
 
 
 def _sample(signal: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the input at each time of the grid, and its slope in the interval that follows."""
+    """Return a signal at each time of the grid, and its slope in the following interval."""
     values = values_at(signal, times)
     if signal.interpolation != "linear":
         return values, np.zeros_like(values)
-    with np.errstate(over="ignore", invalid="ignore"):  # absurd slopes fail as simulations
+    with np.errstate(over="ignore", invalid="ignore"):  # simulations with absurd slopes fail
         return values, np.append(np.diff(values) / np.diff(times), 0.0)
 
 

@@ -29,9 +29,9 @@ class TaskBatch:
     ids, experiments : (n,)
     values : (n, k)
     want, effects
-        Of every task in the batch.
+        The same for all tasks of the batch.
     bounds : (n,)
-        Of each task.
+        Bound of each task.
     """
 
     ids: IntArray
@@ -43,12 +43,12 @@ class TaskBatch:
 
     @classmethod
     def of(cls, tasks: Sequence[Task]) -> TaskBatch:
-        """Pack tasks that all want the same, with the same effects.
+        """Pack tasks with the same `want` and the same effects.
 
         Raises
         ------
         ValueError
-            If they do not.
+            If these differ.
         """
         first = tasks[0]
         if any(task.want != first.want or task.effects != first.effects for task in tasks):
@@ -80,15 +80,15 @@ class OutcomeColumns:
     Attributes
     ----------
     ids, lengths, seconds, steps : (n,)
-        Of each outcome; a length of -1 stands for no residuals.
+        One value for each outcome; a length of -1 means that there are no residuals.
     residuals
-        Residuals of all outcomes, one after the other.
+        Residuals of all outcomes, concatenated.
     failures
-        (status, message) by position, where it is not OK or has a message.
+        (status, message) by position, if the status is not OK or there is a message.
     trajectories, linearisations, constraints, sensitivities
         By position.
     worker
-        Who ran them.
+        Name of the worker.
     """
 
     ids: IntArray
@@ -125,7 +125,7 @@ class OutcomeColumns:
         )
 
     def outcomes(self) -> list[Outcome]:
-        """Unpack; the residuals are views of one array."""
+        """Return the outcomes; their residuals are views of one array."""
         ends = np.cumsum(np.maximum(self.lengths, 0)).tolist()
         columns = zip(
             self.ids.tolist(),

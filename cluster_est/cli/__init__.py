@@ -12,7 +12,7 @@ from cluster_est.cli.parent_process import address_space, end, run_in_child
 __all__ = ["main", "run"]
 
 LEAST_MEMORY = 2.2
-"""GB, below which libraries fail in ways that nobody can foresee."""
+"""Memory in GB below which libraries fail in unpredictable ways."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,9 +23,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run() -> None:
-    """Run a command as a program: end with its exit code, whatever still runs in threads.
+    """Run a command as a program, and end with its exit code even if threads are still running.
 
-    What takes memory is loaded only where somebody can say why that failed.
+    Modules that need much memory are imported only where a failure can be reported.
     """
     run_in_child()
     if address_space() < LEAST_MEMORY:
@@ -34,11 +34,11 @@ def run() -> None:
             f"but there are only {address_space():.3g} GB; raise the limit (ulimit -v)\n"
         )
         end(2)
-    if address_space() < math.inf:  # where OpenBLAS cannot start threads, it interrupts the process
+    if address_space() < math.inf:  # OpenBLAS without memory for threads interrupts
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from cluster_est.cli import entry_point
 
         entry_point.run()
-    except KeyboardInterrupt:  # while that is loaded, or another one while the first is being said
+    except KeyboardInterrupt:  # during imports, or while an interrupt is reported
         end(130, in_order=False)

@@ -1,7 +1,7 @@
-"""What a command says: sentences and tables for people, or one JSON document for programs.
+"""The output of a command: sentences and tables, or one JSON document for programs.
 
-A command gives its answer sentences, tables and the fields of its document, and does not know who
-reads them. `cluster_est.cli.document` declares the fields.
+A command passes sentences, tables and the fields of its document to its answer, independent of the
+format. `cluster_est.cli.document` declares the fields.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rich.console import Console
 from typing_extensions import override
 
 Cell = Callable[[dict[str, Any]], str]
-"""What stands in a column of a row."""
+"""Function that returns the text of a column in a row."""
 
 
 class Answer(ABC):
@@ -24,9 +24,9 @@ class Answer(ABC):
     Attributes
     ----------
     found
-        Fields of its document, as `cluster_est.cli.document` declares them.
+        Fields of its document, as declared in `cluster_est.cli.document`.
     sentences, complaints
-        What was said so far, on standard output and beside it.
+        Sentences so far, on standard output and on standard error.
     """
 
     def __init__(self) -> None:
@@ -39,17 +39,17 @@ class Answer(ABC):
         self.found |= found
 
     def complain(self, text: str) -> None:
-        """Print a sentence beside the output, with the program's name."""
+        """Print a sentence on standard error, with the program's name."""
         self.complaints.append(text)
         _print_error(text)
 
     def fail(self, text: str) -> None:
-        """Say why there is no answer."""
+        """Print why there is no answer."""
         self.add(message=text)
         _print_error(text)
 
     def rows(self, rows: Iterable[dict[str, Any]], *columns: tuple[str, str | Cell]) -> None:
-        """A table: for each column its name, and a key of the rows or what makes its cells."""
+        """Print a table; a column has a name, and a key of the rows or a function for its cells."""
         self.table(
             [name for name, _ in columns],
             [[str(r[of]) if isinstance(of, str) else of(r) for _, of in columns] for r in rows],
@@ -57,15 +57,15 @@ class Answer(ABC):
 
     @abstractmethod
     def say(self, text: str) -> None:
-        """One line, however narrow the terminal."""
+        """Print one line without breaks."""
 
     @abstractmethod
     def tell(self, text: str) -> None:
-        """A sentence: broken between words in a terminal, one line elsewhere."""
+        """Print a sentence, with line breaks only in a terminal."""
 
     @abstractmethod
     def table(self, header: list[str], rows: Iterable[Iterable[str]]) -> None:
-        """A table without lines; a document has its numbers in a field instead."""
+        """Print a table without rules; a document contains its numbers in a field instead."""
 
 
 def _print_error(text: str) -> None:
@@ -74,7 +74,7 @@ def _print_error(text: str) -> None:
 
 
 class PrintedAnswer(Answer):
-    """Prints what is said at once, on standard output."""
+    """Prints everything at once on standard output."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -108,7 +108,7 @@ class PrintedAnswer(Answer):
 
 
 class DocumentAnswer(Answer):
-    """Keeps what is said, for a document that is written when the command has ended."""
+    """Collects sentences for a document that is written at the end of the command."""
 
     @override
     def say(self, text: str) -> None:
@@ -122,4 +122,4 @@ class DocumentAnswer(Answer):
 
     @override
     def table(self, header: list[str], rows: Iterable[Iterable[str]]) -> None:
-        """Say nothing: the document has the numbers themselves."""
+        """Print nothing, because the document contains the numbers."""

@@ -28,7 +28,7 @@ from cluster_est.studies.configured import read_study
 
 
 def print_page(answer: Answer, page: CheckPage) -> None:
-    """A line for each check, and below it what can be done."""
+    """Print a line for each check, with advice below it."""
     counts = Counter(each.verdict for each in page.findings)
     answer.add(
         checks=[vars(each) for each in page.findings],
@@ -81,7 +81,7 @@ def print_model(answer: Answer, problem: Problem, more: str) -> None:
 
 
 def print_check(answer: Answer, problem: Problem, simulations: Sequence[Simulation]) -> None:
-    """Unknowns, experiments and one simulation of each."""
+    """Print the unknowns, the experiments and one simulation of each."""
     train = make_space(problem, problem.indices("train"))
     answer.say(
         f"{train.size} unknowns; a forward Jacobian takes {len(train.colours)} points, each with "

@@ -1,6 +1,6 @@
 """The expressions of `--fail-if`: comparisons of fields of a command's document.
 
-An expression is parsed as one of Python and walked here; nothing of it is ever run as code.
+An expression is parsed as Python and evaluated here; it is never executed as code.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cluster_est.errors import ConfigError
 from workers.fmu.description import nearest
 
 MOST_LETTERS = 500
-"""Longer expressions are refused before Python's parser sees them."""
+"""Longest expression that is passed to Python's parser."""
 ALLOWED = (
     "names with dots, numbers, text in quotes, null, true, false, < <= > >= == !=, in, and, or, "
     "not, and parentheses"
@@ -42,7 +42,7 @@ class _NoValueError(Exception):
 
 @dataclass(frozen=True)
 class Judgement:
-    """Whether a criterion is met; `why` says why it could not be judged, which counts as met."""
+    """Whether a criterion is met; `why` is the reason if it is unknown, which counts as met."""
 
     expression: str
     met: bool
@@ -65,14 +65,14 @@ class Criterion:
     Parameters
     ----------
     expression
-        As it was given.
+        Text of the expression.
     command
-        Whose document it is about.
+        The command whose document it refers to.
 
     Raises
     ------
     ConfigError
-        If it is none, or names a field that the command does not have.
+        If it is invalid, or names an unknown field of the command.
     """
 
     def __init__(self, expression: str, command: str) -> None:
@@ -93,12 +93,12 @@ class Criterion:
             ) from error
 
     def judge(self, document: Mapping[str, Any]) -> Judgement:
-        """Return whether a document meets it.
+        """Return whether a document meets the criterion.
 
         Raises
         ------
         ConfigError
-            If it names what the document does not have, or compares what has no order.
+            If it names a missing field, or compares values without an order.
         """
         try:
             return Judgement(self.expression, bool(self._value(self._tree, document)))
@@ -109,7 +109,7 @@ class Criterion:
         return ConfigError(f"--fail-if: must consist of {ALLOWED}, {but}: {self.expression!r}")
 
     def _check(self, node: ast.expr, field: DocumentField | None = None) -> None:
-        """Refuse what is not allowed and what is not known; `field` is compared with the node."""
+        """Refuse forbidden syntax and unknown names; `field` is compared with the node."""
         if isinstance(node, ast.Compare):
             self._check_compare(node)
         elif isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
@@ -151,7 +151,7 @@ class Criterion:
 
     def _value(self, node: ast.expr, document: Mapping[str, Any]) -> Any:
         if isinstance(node, ast.BoolOp):
-            # the first one that decides is the last one that is looked at
+            # evaluation stops at the first decisive operand
             decides = isinstance(node.op, ast.Or)
             return decides == any(
                 bool(self._value(each, document)) == decides for each in node.values
@@ -195,12 +195,12 @@ class Criterion:
                 raise _NoValueError(f"{ast.unparse(side)} has no value in this result")
 
     def _looked_up(self, node: ast.expr, document: Mapping[str, Any]) -> Any:
-        """Return what a name stands for: a constant, a field or a part of one, or a word."""
+        """Return the value of a name: a constant, a field or a part of a field, or a word."""
         path: Sequence[str | int] = _path(node, self._wrong)
         if len(path) == 1 and path[0] in _LITERALS:
             return _LITERALS[str(path[0])]
         if path[0] not in self._fields:
-            return path[0]  # a word of the field that it is compared with
+            return path[0]  # a word of the field in the comparison
         value: Any = document
         while path:
             if value is None:
@@ -213,7 +213,7 @@ class Criterion:
     ) -> tuple[Any, Sequence[str | int]]:
         """Return the value of the first part of a path, and the parts after it.
 
-        A name of the FMU may have dots itself: the longest name that is there counts.
+        Names of the FMU may contain dots, so the longest existing name is used.
         """
         if isinstance(value, list) and isinstance(path[0], int) and path[0] < len(value):
             return value[path[0]], path[1:]
@@ -230,7 +230,7 @@ class Criterion:
 
 
 def _joined(path: Sequence[str | int]) -> Iterator[tuple[int, str]]:
-    """Yield names made of the first parts of a path, the longest first, and of how many."""
+    """Yield names made of the first parts of a path, the longest first, with their numbers."""
     for end in range(len(path), 0, -1):
         first, *rest = path[:end]
         parts = (f"[{each}]" if isinstance(each, int) else f".{each}" for each in rest)

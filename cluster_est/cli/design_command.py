@@ -56,23 +56,23 @@ def design(options: Namespace, answer: Answer) -> int:
 
 
 def has_measurements(path: Path) -> bool:
-    """Whether a table of a next experiment has been filled: its last column holds something."""
+    """Return whether the last column of a table of a next experiment contains values."""
     if not path.is_file():
         return False
     try:
         last = pacsv.read_csv(path).columns[-1]
     except (pa.ArrowException, IndexError):
-        return True  # somebody has changed it, whatever it is now
+        return True  # a changed file counts as filled
     return bool(last.null_count < len(last))
 
 
 def _check_free(options: Namespace) -> None:
-    """Refuse a table, or a folder beside it, that holds what must not be replaced.
+    """Refuse a table or its run folder if it contains data that must not be replaced.
 
     Raises
     ------
     RunFolderError
-        Saying which.
+        With the path concerned.
     """
     out, folder = options.out, options.out.with_suffix("")
     if out.suffix.lower() != ".csv":
@@ -103,6 +103,6 @@ def _check_free(options: Namespace) -> None:
 
 
 def _path_from(run: ConfiguredStudy, out: Path) -> str:
-    """The path of the table, from the folder of the run's config."""
+    """Return the path of the table relative to the folder of the run's config."""
     base = run.identity.base
     return str(out) if base is None else os.path.relpath(out, base)

@@ -1,6 +1,6 @@
 """The JSON document that a command prints with `--json`: its fields, each declared here once.
 
-`--fail-if` asks for the same fields, and the page of the commands lists them.
+`--fail-if` uses the same fields, and the documentation of the commands lists them.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ def _statuses() -> tuple[str, ...]:
 
 
 def _run_statuses() -> tuple[str, ...]:
-    from cluster_est.run_folder.run_files import RunStatus  # --help does not wait for pyarrow
+    from cluster_est.run_folder.run_files import RunStatus  # --help must not import pyarrow
 
     return tuple(each.value for each in RunStatus)
 
 
 def verdicts() -> tuple[str, ...]:
     """Return the verdicts of a closed loop."""
-    from cluster_est.closed_loop.findings.effects import Verdict  # only --fail-if waits for SymPy
+    from cluster_est.closed_loop.findings.effects import Verdict  # only --fail-if needs SymPy
 
     return tuple(each.value for each in Verdict)
 
@@ -46,10 +46,10 @@ class DocumentField:
     Attributes
     ----------
     name, kind, meaning
-        The kind is that of its value in JSON; null stands for what a run does not have, and for a
-        number that is not finite.
+        The kind is that of its value in JSON; null means a missing value or a number that is not
+        finite.
     words
-        The texts that it may be, where these are known; `--fail-if` takes them without quotes.
+        Its possible texts, if known; `--fail-if` accepts them without quotes.
     """
 
     name: str
@@ -74,7 +74,7 @@ COMMON_FIELDS = (
         "criteria", "list", "each --fail-if: its `expression`, whether it is `met`, and `why`"
     ),
 )
-"""Of every command, also of one that fails."""
+"""Fields of every command, including a failed command."""
 
 _OF_RUN = (
     DocumentField("run", "text", "folder of the run"),
@@ -214,7 +214,7 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     ),
     "forms": (DocumentField("forms", "list", "each form at each kind of site"),),
 }
-"""The fields of each command beside `COMMON_FIELDS`."""
+"""The fields of each command in addition to `COMMON_FIELDS`."""
 
 
 def fields_of(command: str) -> dict[str, DocumentField]:
@@ -228,9 +228,9 @@ def status_of(code: int) -> str:
 
 
 def document_of(command: str | None, answer: Answer, code: int) -> dict[str, Any]:
-    """Return the document of a command that has ended, all of its fields in their order.
+    """Return the document of a finished command, with all of its fields in their order.
 
-    `command` is None where none could be found out.
+    `command` is None if it could not be determined.
     """
     found = {name: plain(value) for name, value in answer.found.items()}
     head = {
@@ -252,12 +252,12 @@ def document_of(command: str | None, answer: Answer, code: int) -> dict[str, Any
 
 
 def as_text(document: Mapping[str, Any]) -> str:
-    """Return a document as one line of JSON, of ASCII alone."""
+    """Return a document as one line of JSON in ASCII."""
     return json.dumps(document, allow_nan=False)
 
 
 def program_version() -> str | None:
-    """Return the version of cluster-est; None where it is not installed."""
+    """Return the version of cluster-est; None if it is not installed."""
     try:
         return version("cluster-est")
     except PackageNotFoundError:
@@ -265,7 +265,7 @@ def program_version() -> str | None:
 
 
 def plain(value: Any) -> Any:
-    """Return a value in JSON's kinds; None for a number that is not finite."""
+    """Return a value with types of JSON; None for a number that is not finite."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, str | PurePath):
@@ -274,7 +274,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if value is None or isinstance(value, bool | int):
         return value
-    if hasattr(value, "tolist"):  # of NumPy
+    if hasattr(value, "tolist"):  # NumPy
         return plain(value.tolist())
     number = float(value)
     return number if math.isfinite(number) else None

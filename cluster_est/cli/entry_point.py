@@ -1,12 +1,11 @@
-"""The program `cluster-est`: from arguments to a command, and from errors to sentences.
+"""The program `cluster-est`: from arguments to a command, and from exceptions to messages.
 
-Before a command is loaded, pyarrow makes its first array without pandas, which it would import
-then, to know a column of pandas when it is given one. No command is, and where pandas is installed
-this takes a quarter of a second. Whoever asks pyarrow for pandas later still gets it.
+Before a command is imported, pyarrow makes its first array while pandas is hidden. Otherwise it
+would import pandas, in order to recognise columns of pandas, which takes a quarter of a second. No
+command passes such columns. Later conversions of pyarrow to pandas still work.
 
-Standard output and error end no command, whoever has stopped reading them: what the system refuses,
-because a pipe is closed or a disk full, is dropped, and the command goes on, for its results stand
-in files.
+Errors on standard output and error end no command. If a pipe is closed or a disk is full, the
+output is dropped and the command continues, because its results are in files.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ from workers.fmu.process_environment import before_first_instance
 
 
 class _WithoutPandas(MetaPathFinder):
-    """Finds no pandas, and leaves everything else to others."""
+    """Hides pandas from imports."""
 
     @override
     def find_spec(
@@ -57,7 +56,7 @@ class _WithoutPandas(MetaPathFinder):
 
 
 def start_arrow() -> None:
-    """Have pyarrow make its first array while pandas cannot be found."""
+    """Make pyarrow's first array while pandas is hidden."""
     if "pandas" in sys.modules:
         return
     import pyarrow as pa
@@ -86,13 +85,13 @@ COMMANDS = {
     "replay": "replay_command",
     "forms": "forms_command",
 }
-"""The module of `cluster_est.cli` in which each command is a function of its name."""
+"""The module of `cluster_est.cli` that contains each command as a function of its name."""
 
 
 def run_command(options: Namespace, answer: Answer) -> int:
-    """Run the command that was asked for, and return its exit code.
+    """Run the requested command, and return its exit code.
 
-    Its module is imported now: who shows a run need not wait for what a fit needs.
+    Its module is imported now, so that a simple command does not import the modules of a fit.
     """
     start_arrow()
     name: str = options.command
@@ -104,10 +103,10 @@ LONGEST_LINE = 2000
 
 
 def readable(text: str) -> str:
-    """Return a message as a terminal may get it, whatever a file made it quote.
+    """Return a message that is safe for a terminal, whatever it quotes from a file.
 
-    What is not printable is written out, because a terminal may obey it; a line that nobody would
-    read to its end loses its middle.
+    Unprintable characters are escaped, because a terminal may interpret them. Very long lines are
+    shortened in the middle.
     """
     return "\n".join(_cut("".join(map(_printable, line))) for line in text.split("\n"))
 
@@ -121,7 +120,7 @@ def _cut(line: str) -> str:
 
 
 class _Outlet(io.FileIO):
-    """A descriptor that takes everything; `refused` is the first reason why it did not."""
+    """A descriptor that accepts all data; `refused` is the first write error."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "wb", closefd=False)
@@ -138,17 +137,17 @@ class _Outlet(io.FileIO):
 
 
 class LenientStreams:
-    """Takes the place of both streams of this process, where it has them.
+    """Replaces both output streams of this process, if they exist.
 
-    Where a document is asked for, `document_to` alone leads to standard output; what else is
-    written there, as by an FMU in this process or by Ray, goes to standard error.
+    With a document, only `document_to` writes to standard output. All other output, such as that of
+    an FMU in this process or of Ray, goes to standard error.
     """
 
     def __init__(self, *, with_document: bool = False) -> None:
         self._outlets: list[_Outlet] = []
         self.document_to: TextIO | None = None
         if with_document:
-            with contextlib.suppress(AttributeError, OSError, ValueError):  # no file of the system
+            with contextlib.suppress(AttributeError, OSError, ValueError):  # not a system file
                 kept = os.dup(sys.stdout.fileno())
                 self.document_to = self._leading_to(kept, "ascii", "strict")
                 os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
@@ -158,7 +157,7 @@ class LenientStreams:
         try:
             stream.flush()
             return self._leading_to(stream.fileno(), stream.encoding, stream.errors)
-        except (AttributeError, OSError, ValueError):  # none, or no file of the system
+        except (AttributeError, OSError, ValueError):  # none, or not a file of the system
             return stream
 
     def _leading_to(self, descriptor: int, encoding: str, errors: str | None) -> TextIO:
@@ -169,7 +168,7 @@ class LenientStreams:
         )
 
     def lost(self) -> str:
-        """Say, as part of a sentence, why something could not be printed; "" if nobody reads it."""
+        """Return why output was lost, as part of a sentence; "" if the reader has gone."""
         for stream in filter(None, (sys.stdout, sys.stderr, self.document_to)):
             stream.flush()
         refused = [each.refused for each in self._outlets if each.refused is not None]
@@ -201,7 +200,7 @@ def main(arguments: Sequence[str] | None = None, document_to: TextIO | None = No
     code = ExitCode.NO_SOLUTION
     try:
         criteria = [Criterion(each, options.command) for each in options.fail_if]
-        # who meets what is not finite says so in a sentence
+        # code that needs finite numbers reports it itself
         with terminations(), np.errstate(all="ignore"):
             code = ExitCode(run_command(options, answer))
         code = _judge(options.command, answer, code, criteria)
@@ -228,7 +227,7 @@ def main(arguments: Sequence[str] | None = None, document_to: TextIO | None = No
 
 
 def _judge(command: str, answer: Answer, code: ExitCode, criteria: Sequence[Criterion]) -> ExitCode:
-    """Return the exit code with regard to --fail-if; a command that failed keeps its own."""
+    """Return the exit code with regard to --fail-if; a failed command keeps its own code."""
     if not criteria:
         return code
     document = document_of(command, answer, code)
@@ -248,7 +247,7 @@ def _write(document: Mapping[str, Any], to: TextIO | None) -> None:
 
 
 def _refused(error: OSError) -> str:
-    """Say what the system refuses, with the file if it is about one."""
+    """Return an error of the system as a message, with the file if there is one."""
     where = f"{error.filename}: " if error.filename is not None else ""
     return (
         f"{where}the operating system reports: {error.strerror or error}; correct that and repeat "
@@ -257,7 +256,7 @@ def _refused(error: OSError) -> str:
 
 
 def _short_of_memory(error: Exception) -> str:
-    """Say what happened, and what may be done. Libraries without memory fail in many ways."""
+    """Return a message on missing memory, without which libraries fail in many ways."""
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     limit = address_space()
     if limit < np.inf:
@@ -273,7 +272,7 @@ def _short_of_memory(error: Exception) -> str:
 
 
 def _placed(message: str, options: Namespace) -> str:
-    """Return a message with the lines of the config that it speaks of."""
+    """Return a message with line numbers of the config."""
     config = getattr(options, "config", None)
     if config is None:
         return message
@@ -282,7 +281,7 @@ def _placed(message: str, options: Namespace) -> str:
 
 
 def run() -> None:
-    """Run a command as a program: end with its exit code, whatever still runs in threads."""
+    """Run a command as a program, and end with its exit code even if threads are still running."""
     before_first_instance(tell_of_fmu)
     streams = LenientStreams(with_document="--json" in sys.argv[1:])
     try:
@@ -291,10 +290,10 @@ def run() -> None:
         if lost:
             print(f"cluster-est: {STANDARD_OUTPUT_LOST.format(lost)}", file=sys.stderr)
             code = code or ExitCode.BAD_INPUT
-    except SystemExit as ended:  # of the parser: help, or a usage error
+    except SystemExit as ended:  # raised by the parser: help, or a usage error
         code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
     except Exception:
         sys.excepthook(*sys.exc_info())
         code = ExitCode.NO_SOLUTION
-    # a simulation that nobody can stop must not keep the process
+    # a running simulation must not keep the process alive
     end(code, in_order=code != ExitCode.INTERRUPTED)

@@ -27,7 +27,7 @@ def show(options: Namespace, answer: Answer) -> int:
 
 def report(options: Namespace, answer: Answer) -> int:
     """Write the report of a run or of a sweep."""
-    # not everybody wants to wait for Jinja
+    # Jinja is imported only if needed
     from cluster_est.html_report.page import write_report
     from cluster_est.html_report.sweep_page import is_sweep, write_sweep_report
 
@@ -41,7 +41,7 @@ def report(options: Namespace, answer: Answer) -> int:
 def export(options: Namespace, answer: Answer) -> int:
     """Write what a run has found, in the forms that are asked for."""
     from cluster_est.model_export.write import ExportRequest
-    from cluster_est.model_export.write import export as run_export  # SymPy takes long to import
+    from cluster_est.model_export.write import export as run_export  # SymPy is slow to import
 
     wanted = ExportRequest(
         options.fmu, options.ssv, options.csv, options.modelica, options.text, not options.no_step

@@ -1,6 +1,6 @@
 """The command forms: the library's forms of effects, from its own entries.
 
-The page of the forms is made of the same words.
+The documentation of the forms uses the same texts.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SITES: dict[SiteKind, tuple[str, str]] = {
                "sensor."),
     "parameter": ("parameter NAME", "The equation replaces the parameter `s` at every time."),
 }  # fmt: skip
-"""How a site of each kind is written, and what an equation does there."""
+"""Notation of a site of each kind, and the meaning of an equation there."""
 SYMBOLS = (
     "In the equations, `v` and `w` are the variables on which an effect depends, `t` is the time, "
     "and `z` (also `z1`, `z2` ...), `y` and `e` are internal states. In the units, `site` is the "
@@ -44,7 +44,7 @@ EVERY_FORM = FORMS | PROCESS_NOISE
 
 
 def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
-    """Return the equations of a form at a site of a kind; of a free curve a description."""
+    """Return the equations of a form at a site of a kind; for a free curve, a description."""
     if form.values:
         before = {"parameter": "s times 1 plus ", "derivative": "", "pair": ""}
         return (
@@ -59,7 +59,7 @@ def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
 
 
 def coefficient_in_words(coefficient: FormCoefficient) -> str:
-    """Return a coefficient with its unit and what is special about it."""
+    """Return a coefficient with its unit and special properties."""
     said = [coefficient.name, f"in {coefficient.unit}" if coefficient.unit != "1" else ""]
     if coefficient.neutral:
         said.append(f"(no influence at {coefficient.neutral:g})")
@@ -68,7 +68,7 @@ def coefficient_in_words(coefficient: FormCoefficient) -> str:
 
 
 def config_block(kind: SiteKind, form: EffectForm) -> str:
-    """Return an entry of `[[effects]]` in which names and sizes are to be filled in."""
+    """Return an entry of `[[effects]]` in which names and sizes must be filled in."""
     arguments = inline([f"{FILL_IN}: v", f"{FILL_IN}: w"][: form.variables])
     own = form.variables == 1 and kind in ("derivative", "pair")
     lines = [
@@ -88,7 +88,7 @@ def config_block(kind: SiteKind, form: EffectForm) -> str:
 
 def _section(coefficient: FormCoefficient) -> dict[str, Any]:
     neutral = coefficient.neutral
-    has_size = coefficient.scale is not None  # a search that begins at 0 may not leave it
+    has_size = coefficient.scale is not None  # a search that starts at 0 may stay there
     if neutral is not None and math.isfinite(neutral) and not (has_size and neutral == 0.0):
         return {"start": neutral}
     said: dict[str, Any] = {"start": f"{FILL_IN}: {_tried(coefficient)}"}
@@ -96,7 +96,7 @@ def _section(coefficient: FormCoefficient) -> dict[str, Any]:
 
 
 def _tried(coefficient: FormCoefficient) -> str:
-    """Return where the closed loop begins with a coefficient, in words."""
+    """Return the start of a coefficient in the closed loop, in words."""
     if coefficient.scale is None or not coefficient.grid:
         return "a number"
     values = ", ".join(f"{each:g}" for each in coefficient.grid[:3])
@@ -172,7 +172,7 @@ def _law(form: EffectForm) -> str:
 
 
 def _entry(kind: SiteKind, form: EffectForm) -> dict[str, Any]:
-    """Return a form as the document has it."""
+    """Return a form for the document."""
     return {
         "form": form.name,
         "family": form.family,

@@ -63,7 +63,7 @@ def init(options: Namespace, answer: Answer) -> int:
 
 
 def _by_unit(found: ConfigDraft) -> dict[str, str]:
-    """Return the columns that were told by their unit alone, by the keys of their variables."""
+    """Return the columns identified only by their unit, by the keys of their variables."""
     return {
         dotted(kind, match.variable.name): match.column.name
         for run in found.runs
@@ -74,14 +74,14 @@ def _by_unit(found: ConfigDraft) -> dict[str, str]:
 
 
 def _place(text: str, begins: str) -> str:
-    """Return the first line of a config with a text in it, as part of a sentence."""
+    """Return the first line of a config that contains a text, as part of a sentence."""
     lines = enumerate(text.splitlines(), 1)
     place = next((number for number, line in lines if begins in line), None)
     return "" if place is None else f", line {place}"
 
 
 def read_reading(texts: Sequence[str]) -> Reading:
-    """Read `KEY=VALUE` arguments that say how tables are to be read.
+    """Read `KEY=VALUE` arguments with options for reading tables.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def read_mapping(texts: Sequence[str]) -> dict[str, str]:
     Raises
     ------
     ConfigError
-        If one is something else, or a variable is there twice.
+        If an argument has another format, or a variable appears twice.
     """
     found: dict[str, str] = {}
     for text in texts:

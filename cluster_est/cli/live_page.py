@@ -1,4 +1,4 @@
-"""The page of a run in a browser: served beside a run, or by `watch` alone."""
+"""The page of a run in a browser: served by the command of a run, or by `watch`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cluster_est.watching.server import LivePage
 
 SECONDS_OF_SLEEP = 3600.0
 SECONDS_OF_LAST_LOOK = 3.0
-"""Seconds for which an ended run waits, so that an open page can load the result."""
+"""Seconds for which a finished run waits, so that an open page can load the result."""
 
 
 @contextmanager
@@ -57,16 +57,16 @@ def browse(options: Namespace, answer: Answer) -> None:
         with page, _opened(page.address):
             while True:
                 time.sleep(SECONDS_OF_SLEEP)
-    except KeyboardInterrupt:  # the way in which it ends
+    except KeyboardInterrupt:  # the usual end
         answer.say("the page was closed")
 
 
 @contextmanager
 def _opened(address: str) -> Iterator[None]:
-    """Say where a page is, and open it where somebody sits in front of a screen.
+    """Print the address of a page, and open it in a browser on a machine with a screen.
 
-    A browser is given a file that only this user can read and that leads to the page: other users
-    see the arguments of its process, and would see the token.
+    The browser opens a file that only this user can read and that redirects to the page. Otherwise
+    the token would be visible to other users in the arguments of the browser's process.
     """
     print(f"cluster-est: the page of the run is at {address}", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory(prefix="cluster-est-page-") as folder:
@@ -83,7 +83,7 @@ def _opened(address: str) -> Iterator[None]:
 
 
 def _has_screen() -> bool:
-    """Return whether a terminal is attached, and a browser would have a window of its own."""
+    """Return whether a terminal is attached, and a browser can open a window."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     windows = sys.platform in ("win32", "darwin")

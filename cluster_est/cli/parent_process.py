@@ -1,9 +1,9 @@
-"""A parent for the process of a command: an FMU that ends that process leaves it no last word.
+"""A parent process for a command, so that an FMU that ends the process is reported.
 
-The command runs in a child. The parent passes signals on, waits for the child, says a sentence if
-it died, ends what it left behind, and gives its exit code. A model that calls `_exit(0)` in the
-middle of a fit so cannot make it look as if it had succeeded. Linux alone has what this takes;
-elsewhere the command runs without a parent.
+The command runs in a child. The parent passes signals on, waits for the child, prints a sentence if
+it died, ends its remaining processes, and returns its exit code. So a model that calls `_exit(0)`
+during a fit is not mistaken for a success. This works only on Linux; on other systems, the command
+runs without a parent.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OF_FMU = (
 )
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
 INTERRUPTS_BEFORE_KILL = 4
-"""Number of interrupts after which the child is killed: an FMU in it may not react to them."""
+"""Number of interrupts after which the child is killed, because an FMU in it may ignore them."""
 INTERRUPTED = (
     "cluster-est: interrupted ({} before the process of this command could end in order); continue "
     "a run that had begun with --resume"
@@ -45,17 +45,17 @@ _to_parent: list[int] = []
 
 
 def run_in_child() -> None:
-    """Go on in a child of this process; the parent stays here, and ends when the child has ended.
+    """Continue in a child of this process; the parent waits here, and ends after the child.
 
-    The child has a process group of its own, so that a signal from a terminal or a scheduler
-    reaches it once, by its parent.
+    The child has its own process group, so that a signal from a terminal or a scheduler reaches it
+    only once, through its parent.
     """
     _open_standard_streams()
     if sys.platform != "linux":
         return
     reading, writing = os.pipe()
     watched = PASSED_ON | {signal.SIGCHLD, signal.SIGTSTP}
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # before the fork: one that waits would be lost
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # before the fork, so that none is lost
     before = signal.pthread_sigmask(signal.SIG_BLOCK, watched)
     parent, child = os.getpid(), os.fork()
     if child:
@@ -64,8 +64,8 @@ def run_in_child() -> None:
     os.close(reading)
     os.setpgid(0, 0)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # raised in an import, it may be swallowed
-    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # it prints, though no group in the foreground
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # raised in an import, it may be ignored
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # it prints in the background
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
@@ -74,7 +74,7 @@ def run_in_child() -> None:
 
 
 def _open_standard_streams() -> None:
-    """Open on nothing what is closed: a file of a run in its place would get what is printed."""
+    """Open closed standard streams on os.devnull, so that a file of a run does not replace them."""
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(descriptor)
@@ -94,53 +94,53 @@ def address_space() -> float:
 
 
 def interrupts_can_be_raised() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt again, once all is loaded that this process needs."""
+    """Let Ctrl-C raise KeyboardInterrupt again, once all modules are loaded."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def tell_of_fmu() -> None:
-    """Have the parent know that an FMU is loaded in the process of the command."""
+    """Report to the parent that an FMU is loaded in the process of the command."""
     _tell(LOADED)
 
 
 def end(code: int, *, in_order: bool = True) -> NoReturn:
-    """End the process of a command with an exit code, whatever libraries would do at its end.
+    """End the process of a command with an exit code, without the exit handlers of libraries.
 
     Parameters
     ----------
     code
         The exit code.
     in_order
-        Whether what is registered with `atexit` comes first.
+        Whether to run the functions registered with `atexit` first.
     """
     if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_BLOCK, PASSED_ON)  # nothing is left to be interrupted
+        signal.pthread_sigmask(signal.SIG_BLOCK, PASSED_ON)  # nothing remains to be interrupted
     if in_order:
         atexit._run_exitfuncs()
-    for stream in filter(None, (sys.stdout, sys.stderr)):  # a program may have neither
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # a program may have none
+        with contextlib.suppress(OSError, ValueError):  # the reader has gone
             stream.flush()
     _tell(FAREWELL)
     os._exit(code)
 
 
 def _tell(word: bytes) -> None:
-    with contextlib.suppress(OSError, IndexError):  # an FMU has closed it; there is no parent
+    with contextlib.suppress(OSError, IndexError):  # closed by an FMU, or no parent
         os.write(_to_parent[0], word)
 
 
 def _ignored(signals: set[signal.Signals]) -> set[signal.Signals]:
-    """Return the signals that whoever has started this program wants ignored, as nohup does."""
+    """Return the signals that are ignored since the start, as by nohup."""
     return {each for each in signals if signal.getsignal(each) == signal.SIG_IGN}
 
 
 def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> NoReturn:
-    """End this process as its child ends."""
+    """End this process in the same way as its child."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
     status, interrupts = _wait(child, watched | {signal.SIGCHLD})
     _end_descendants()
-    os.set_blocking(reading, False)  # what the child has left behind may hold the other end
+    os.set_blocking(reading, False)  # remaining processes may hold the other end
     with contextlib.suppress(BlockingIOError):
         told = b""
         told = os.read(reading, 64)
@@ -149,14 +149,14 @@ def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> N
         os._exit(code)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
     said = INTERRUPTED if interrupts else OF_FMU if LOADED in told else SENTENCE
-    with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # the reader has gone
         sys.stderr.write(said.format(how) + "\n")
         sys.stderr.flush()
     os._exit(130 if interrupts else 128 - code if code < 0 else code or 1)
 
 
 def _wait(child: int, watched: set[signal.Signals]) -> tuple[int, int]:
-    """Return the status of a child once it has ended, and how many interrupts were passed on."""
+    """Return the status of a finished child, and the number of interrupts passed on."""
     interrupts = 0
     while True:
         received = signal.sigwait(watched)
@@ -169,13 +169,13 @@ def _wait(child: int, watched: set[signal.Signals]) -> tuple[int, int]:
             os.killpg(child, signal.SIGCONT)
         ended, status = os.waitpid(child, os.WNOHANG | os.WUNTRACED)
         if ended and os.WIFSTOPPED(status) and received == signal.SIGCHLD:
-            os.kill(child, signal.SIGCONT)  # an FMU has stopped it: nobody else would continue it
+            os.kill(child, signal.SIGCONT)  # stopped by an FMU; nothing else would continue it
         elif ended and not os.WIFSTOPPED(status):
             return status, interrupts
 
 
 def _end_descendants() -> None:
-    """Kill what the child has left behind: an FMU may have started a process."""
+    """Kill remaining processes of the child, which an FMU may have started."""
     while children := _children():
         for each in children:
             with contextlib.suppress(ProcessLookupError):

@@ -83,14 +83,14 @@ EXAMPLES = {
 
 
 class UsageError(Exception):
-    """Arguments that cannot be understood.
+    """Arguments that cannot be parsed.
 
     Parameters
     ----------
     said
-        What is wrong with them.
+        Description of the error.
     prog, usage
-        Of the command, or of the program.
+        Name and usage of the command, or of the program.
     """
 
     def __init__(self, said: str, prog: str, usage: str) -> None:
@@ -99,7 +99,7 @@ class UsageError(Exception):
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Breaks lines between words, but for those that are indented: examples."""
+    """Breaks lines between words, except for indented lines, which are examples."""
 
     @override
     def _fill_text(self, text: str, width: int, indent: str) -> str:
@@ -113,7 +113,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that raises what is wrong with the arguments."""
+    """A parser that raises an exception for wrong arguments."""
 
     def __init__(self, **how: Any) -> None:
         super().__init__(formatter_class=_Formatter, **how)
@@ -124,7 +124,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Parse arguments, with key=value arguments anywhere, before and after the options."""
+    """Parse arguments; key=value arguments may be anywhere, before and after the options."""
     parser = make_parser()
     _suggest(parser, sys.argv[1:] if arguments is None else arguments)
     options, rest = parser.parse_known_args(arguments)
@@ -137,7 +137,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 class _ShowVersion(argparse.Action):
-    """Print the name of the program and its version, which is looked up only then."""
+    """Print the name of the program and its version, which is determined only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         try:
@@ -149,7 +149,7 @@ class _ShowVersion(argparse.Action):
 
 
 def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
-    """End with the command that may be meant, where no command has that name."""
+    """Exit with a suggestion if there is no command of that name."""
     known = parser.get_default("commands")
     name = next((each for each in arguments if not each.startswith("-")), None)
     if name is not None and name not in known:
@@ -157,7 +157,7 @@ def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser; `command` of what it returns names the command."""
+    """Return the parser; `command` in its result is the name of the command."""
     parser = _Parser(
         prog="cluster-est",
         description="Estimate the parameters and initial states of an FMU from many measured "

@@ -23,7 +23,7 @@ from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 
 def print_design(answer: Answer, run: StoredRun) -> None:
-    """Print what was chosen, and what it is expected to tell.
+    """Print the chosen input and the expected information of the experiment.
 
     `run` has the tables "probabilities", "evidence", "precision" and
     "prediction_precision".
@@ -81,7 +81,7 @@ def _percents(key: str) -> Cell:
 
 
 def print_sensitivity(answer: Answer, run: StoredRun) -> None:
-    """Print the unknowns by what they move, which go together, and what to know.
+    """Print the ranking of the unknowns, those that can be estimated together, and notes.
 
     `run` has the table "ranking".
     """
@@ -113,7 +113,7 @@ def _index(value: float | None) -> str:
 
 
 def _together(position: int, together: bool) -> str:
-    """In which place, where an order is known."""
+    """Return the position in the order of estimation, if known."""
     if position < 0:
         return ""
     return f"{position + 1}." if together else "no"
@@ -124,7 +124,7 @@ Facts = Mapping[str, Any]
 UNKNOWN_NUMBER = "unknown"
 
 SAME_PREDICTION = 0.1
-"""Times the noise below which two predictions count as the same."""
+"""Multiple of the noise below which two predictions count as equal."""
 
 
 def print_any_run(answer: Answer, run_folder: Path) -> None:
@@ -148,14 +148,14 @@ def print_any_run(answer: Answer, run_folder: Path) -> None:
 
 
 def print_loop(answer: Answer, run: StoredRun) -> None:
-    """Verdict, effects, parameters, errors before and after, and what to know."""
+    """Print verdict, effects, parameters, errors before and after, and notes."""
     facts = run.facts
     answer.tell(f"verdict: {facts['verdict']}: {facts['summary']}")
     answer.say(
         f"run {run.path}: {facts['simulations']} simulations ({_failed(facts)}), "
         f"{facts['seconds']:.1f} s",
     )
-    narrow = facts["verdict"] == "unexplained"  # they do not allow for what is missing
+    narrow = facts["verdict"] == "unexplained"  # they do not include the missing effects
     for effect in facts["effects"]:
         _print_effect(answer, effect, too_narrow=narrow)
     choices = [facts[key] for key in ("likely", "resampled") if facts.get(key)]
@@ -175,7 +175,7 @@ def print_loop(answer: Answer, run: StoredRun) -> None:
 
 
 def _failed(facts: Facts) -> str:
-    """How many simulations failed, and how many of these with effects that were only tried."""
+    """Return the number of failed simulations, and how many of these had only tested effects."""
     failed, tried = facts["failures"], facts["failures_in_search"]
     if not tried:
         return f"{failed} failed"
@@ -217,12 +217,12 @@ def _range(row: Facts) -> str:
 
 
 def _differs(other: Facts) -> bool:
-    """Return whether these data show a difference at all."""
+    """Return whether these data show any difference."""
     return other["difference"] is not None and bool(other["difference"] >= SAME_PREDICTION)
 
 
 def _alternative(other: Facts) -> str:
-    """An alternative, and the experiment that would tell it apart."""
+    """Return an alternative, and the experiment that would distinguish it."""
     text = f"{other['words']} at {other['site']}: {other['equation']}"
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
@@ -238,7 +238,7 @@ def _alternative(other: Facts) -> str:
 
 
 def _print_parameters(answer: Answer, rows: Rows, *, too_narrow: bool) -> None:
-    """Print values and intervals; the last ones with a word where the residuals deny them."""
+    """Print values and intervals; intervals that are too narrow are marked."""
     found = "95 % interval (too narrow)" if too_narrow else "95 % interval"
     answer.rows(
         rows,
@@ -279,19 +279,19 @@ def _print_errors(answer: Answer, rows: Rows, facts: Facts) -> None:
 
 
 def _error(row: dict[str, Any], name: str) -> str:
-    """An error; blank where nothing was measured that a simulation could miss."""
+    """Return an error; blank if there is no measurement to compare with."""
     return number(row[name]) if row["samples"] else ""
 
 
 def _over_noise(row: dict[str, Any], when: str) -> str:
-    """An error over the noise, which may be unknown, or none, where a simulation did not fail."""
+    """Return an error over the noise, which may be unknown; blank without a measurement."""
     if math.isnan(row[f"rmse_{when}"]):
         return _error(row, f"normalised_{when}")
     return number(row[f"normalised_{when}"], UNKNOWN_NUMBER)
 
 
 def _print_rest(answer: Answer, facts: Facts) -> None:
-    """Print the effects that did not pass, the noise and the open sites."""
+    """Print the rejected effects, the noise and the open sites."""
     for effect in facts["rejected"]:
         said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
         known = effect.get("claim") or {

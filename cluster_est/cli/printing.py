@@ -1,4 +1,4 @@
-"""A fit as sentences and tables, and how numbers are written."""
+"""A fit as sentences and tables, and the format of numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHOWN = (
     "parameters", "errors", "constraints", "intervals", "front", "starts", "minima", "ranking",
     "probabilities", "evidence", "precision", "prediction_precision",
 )  # fmt: skip
-"""Tables of a run that its summary is printed from."""
+"""Tables of a run for its summary."""
 
 
 def print_run(answer: Answer, run: StoredRun) -> None:
@@ -51,7 +51,7 @@ def print_run(answer: Answer, run: StoredRun) -> None:
 
 
 def print_iterations(answer: Answer, run_folder: Path, search: str | None) -> None:
-    """Print the iteration table of one search, of the best start if none is named.
+    """Print the iteration table of one search, by default that of the best start.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def print_iterations(answer: Answer, run_folder: Path, search: str | None) -> No
 
 
 def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
-    from cluster_est.methods.method import TOLERANCE  # all methods: nothing that `show` waits for
+    from cluster_est.methods.method import TOLERANCE  # imports all methods
 
     violation = row["violation"]
     violation = 0.0 if violation is None or math.isnan(violation) else violation
@@ -92,8 +92,8 @@ def _blank(key: str) -> Cell:
 
 
 def _print_parameters(answer: Answer, rows: Rows, *, too_narrow: bool, interrupted: bool) -> None:
-    """Print values and intervals; the latter with a word where the residuals deny them."""
-    # without a single interval in a run that was cut short, none was computed
+    """Print values and intervals; intervals that are too narrow are marked."""
+    # without any interval in an interrupted run, none was computed
     computed = not interrupted or not all(math.isnan(row["lower95"]) for row in rows)
     column = "95 % interval (too narrow)" if too_narrow else "95 % interval"
     answer.rows(
@@ -132,7 +132,7 @@ def _print_constraints(answer: Answer, rows: Rows) -> None:
 
 
 def _print_intervals(answer: Answer, rows: Rows) -> None:
-    """Intervals that took refits."""
+    """Print intervals from refits."""
     if rows:
         answer.rows(
             rows,
@@ -145,7 +145,7 @@ def _print_intervals(answer: Answer, rows: Rows) -> None:
 
 
 def _print_front(answer: Answer, rows: Rows) -> None:
-    """The ends of a front of several objectives, and how many points lie between."""
+    """Print the ends of a front of several objectives, and the number of points between them."""
     objectives = {row["point"]: row["objectives"] for row in rows}
     if objectives:
         columns = list(zip(*objectives.values(), strict=True))
@@ -167,12 +167,12 @@ def _print_minima(answer: Answer, starts: Rows, minima: Rows) -> None:
 
 
 def numbers(key: str, missing: str = "failed") -> Cell:
-    """A column of numbers of six digits."""
+    """Return a column of numbers with six digits."""
     return lambda row: number(row[key], missing)
 
 
 def at_bound(row: dict[str, Any]) -> str:
-    """Whether a value stands at a bound."""
+    """Return whether a value is at a bound."""
     return f"at its {row['at_bound']} bound" if row["at_bound"] else ""
 
 
@@ -181,12 +181,12 @@ def _percent(share: float) -> str:
 
 
 def number(value: float | None, missing: str = "failed") -> str:
-    """Six digits, or what is said of a number that is not there."""
+    """Return a number with six digits, or the text for a missing number."""
     return missing if value is None or math.isnan(value) else f"{value:.6g}"
 
 
 def interval(row: dict[str, Any]) -> str:
-    """The 95 % interval of a row of parameters.parquet."""
+    """Return the 95 % interval of a row of parameters.parquet."""
     low, high = row["lower95"], row["upper95"]
     if row["estimated_on"] in ("known", "derived") and math.isnan(low):
         return ""

@@ -33,7 +33,7 @@ def replay(options: Namespace, answer: Answer) -> int:
 
 
 def print_question(answer: Answer, logged: LoggedSimulation, question: ReplayRequest) -> None:
-    """Who asked for it, its values and effects, and what came of it then."""
+    """Print the origin of a simulation, its values and effects, and its logged result."""
     answer.say(f"evaluation {logged.number}: experiment {logged.experiment}")
     answer.say(
         f"  requested by search {logged.search}, point {logged.evaluation}, for: {logged.purpose}",
@@ -83,7 +83,7 @@ def _ending(status: str, message: str, logged: LoggedSimulation, cost: float) ->
 
 
 def print_failures(answer: Answer, run_folder: Path) -> None:
-    """Every simulation of a run that failed, with the ID that `replay` takes.
+    """Print every failed simulation of a run, with its ID for `replay`.
 
     Raises
     ------

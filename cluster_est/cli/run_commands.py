@@ -60,7 +60,7 @@ OF_STUDIES = {
 
 
 def print_sweep(answer: Answer, out: Path, rows: Rows, ran: int) -> None:
-    """Print the number of runs that are done, and a line for each."""
+    """Print the number of finished runs, and a line for each."""
     counts = Counter(row["status"] for row in rows)
     answer.add(**sweep_fields(out, rows, ran))
     listed = ", ".join(f"{count} {status}" for status, count in counts.items())
@@ -82,7 +82,7 @@ def print_sweep(answer: Answer, out: Path, rows: Rows, ran: int) -> None:
 
 
 def sweep_fields(out: Path, rows: Rows, ran: int) -> dict[str, Any]:
-    """Return the fields of a sweep; each status and verdict has a count, be it 0."""
+    """Return the fields of a sweep; each status and verdict has a count, which may be 0."""
     worst = {
         f"worst_{name}": max((r[name] for r in rows if r.get(name) is not None), default=None)
         for name in ("rmse_train", "rmse_test")
@@ -107,7 +107,7 @@ def _known(key: str) -> Cell:
 
 
 def _why(row: dict[str, Any]) -> str:
-    """What is doubtful of a run, or the first line of why it came to nothing."""
+    """Return the doubts about a run, or the first line of why it failed."""
     said = row["doubts"] if row["status"] == SUCCESS else (row["message"].splitlines() or [""])[0]
     return str(said)
 
@@ -199,13 +199,13 @@ def _simulated(problem: Problem, simulation: Simulation) -> dict[str, Any]:
 
 
 def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
-    """Physical values by label from a run's parameters.parquet.
+    """Return physical values by label from a run's parameters.parquet.
 
     Raises
     ------
     RunFolderError
-        If the run is not finished, or has estimated what the problem does not have: without an
-        effect that the run has added, its other values mean little.
+        If the run is not finished, or if it has estimated values that the problem lacks. Without an
+        added effect, the other estimates mean little.
     """
     path = run_folder / "parameters.parquet"
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""The terminal as the listener of a run."""
+"""Output of a run in the terminal."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from cluster_est.studies.configured import ConfiguredStudy, Destination, Listene
 from workers.core.build import built, is_built
 
 SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
-"""Least time between two printed lines: seconds, and share of the time that the run has taken."""
+"""Shortest time between two printed lines: seconds, and share of the duration of the run."""
 HINT_SECONDS = 20.0
-"""Seconds in which all workers were busy and as many simulations again were waiting."""
+"""Seconds in which all workers were busy and as many other simulations were waiting."""
 
 BUILDS_CORE = (
     "compiling the simulation core, which is needed only once on this machine; this takes about 10 "
@@ -41,14 +41,14 @@ EXIT_CODES = {
 
 
 class PrintedPlace:
-    """Prints a line once in a while, less and less often: for errors that go to a file.
+    """Prints lines at increasing intervals, for standard error in a file.
 
     Parameters
     ----------
     console
-        Where to.
+        The console.
     clock
-        Gives seconds; for tests.
+        Returns seconds; for tests.
     """
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
@@ -56,14 +56,14 @@ class PrintedPlace:
         self._begun = self._printed = clock()
 
     def put(self, text: str) -> None:
-        """Print a text if that is due."""
+        """Print a text if the interval has passed."""
         now = self._clock()
         if now - self._printed >= max(SECONDS_OF_LINES, SHARE_OF_LINES * (now - self._begun)):
             self._printed = now
             _print(self._console, text)
 
     def close(self) -> None:
-        """Leave what was printed."""
+        """Keep the printed lines."""
 
 
 def _print(console: Console, text: str) -> None:
@@ -71,14 +71,14 @@ def _print(console: Console, text: str) -> None:
 
 
 class WorkerHint:
-    """Says once that more workers would help: all are busy, and cores of this machine are not.
+    """Recommends more workers once if all are busy, but not all cores of this machine.
 
     Parameters
     ----------
     cores
-        Of this machine.
+        Number of cores of this machine.
     most_workers
-        That can be started; None for any number.
+        Largest number of workers that can be started; None for no limit.
     """
 
     def __init__(self, cores: int, most_workers: int | None = None) -> None:
@@ -88,7 +88,7 @@ class WorkerHint:
         self._said = False
 
     def look(self, snapshot: RunSnapshot) -> str:
-        """Return the sentence where it is due, else nothing."""
+        """Return the recommendation when it is due, otherwise ""."""
         workers = snapshot.workers
         if self._said or workers >= self._useful:
             return ""
@@ -109,12 +109,12 @@ class WorkerHint:
 
 
 def build_core(answer: Answer) -> None:
-    """Build the simulation core where this machine has none yet, once for all workers.
+    """Compile the simulation core if it is missing, once for all workers.
 
     Raises
     ------
     ModelError
-        If it cannot be built.
+        If it cannot be compiled.
     """
     if not is_built():
         answer.complain(BUILDS_CORE)
@@ -123,7 +123,7 @@ def build_core(answer: Answer) -> None:
 
 
 def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace, answer: Answer) -> RunEnd:
-    """Do a run as the arguments of its command say, and complain where it has no result."""
+    """Perform a run with the arguments of its command, and complain if it has no result."""
     existing = ExistingRun.OVERWRITE if options.overwrite else ExistingRun.REFUSE
     existing = ExistingRun.RESUME if options.resume else existing
     to = Destination(out, existing, report=not options.no_report)
@@ -135,28 +135,28 @@ def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace, answer: Ans
 
 
 def _page(out: Path, options: Namespace) -> AbstractContextManager[None]:
-    """Give the page in a browser, where one is asked for."""
+    """Return a context that serves the page in a browser, if requested."""
     if not options.browser:
         return nullcontext()
-    from cluster_est.cli.live_page import page_beside  # not everybody wants to wait for a server
+    from cluster_est.cli.live_page import page_beside  # the server is imported only if needed
 
     return page_beside(out, allow_code=options.allow_code)
 
 
 def say_report(answer: Answer, run_folder: Path) -> None:
-    """Say where the report of a run stands, if it has one."""
+    """Print the path of the report of a run, if it has one."""
     if (run_folder / "report.html").is_file():
         answer.say(f"report: {run_folder / 'report.html'}")
 
 
 def terminal_listener(answer: Answer) -> Listener:
-    """Make a listener that prints to standard error, and shows a line while a run goes on."""
+    """Return a listener that prints to standard error, and shows a progress line during a run."""
     return Listener(answer.complain, _progress, alive)
 
 
 @contextmanager
 def alive(doing: str) -> Iterator[None]:
-    """Show on a terminal what is done before or after a run, and for how many seconds."""
+    """Show an activity before or after a run on a terminal, with its duration."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield
@@ -170,7 +170,7 @@ def alive(doing: str) -> Iterator[None]:
 
 @contextmanager
 def _progress(resources: Resources) -> Iterator[Show]:
-    """Give what shows how far a run is, and says once that more workers would help."""
+    """Yield a function that shows the progress of a run, and once recommends more workers."""
     console = Console(stderr=True)
     place = TerminalPlace(console) if console.is_terminal else PrintedPlace(console)
     hint = WorkerHint(os.cpu_count() or 1, resources.instances)

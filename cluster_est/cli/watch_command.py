@@ -29,7 +29,7 @@ from cluster_est.watching.traces import SearchView
 
 MOST_SEARCHES, MOST_FAILURE_REASONS = 12, 5
 QUIET_SECONDS = 30.0
-"""Seconds after which a sentence says that nothing comes."""
+"""Seconds without new data after which a sentence reports it."""
 
 
 def watch(options: Namespace, answer: Answer) -> int:
@@ -54,7 +54,7 @@ def watch(options: Namespace, answer: Answer) -> int:
 
 
 def _fields(run_folder: Path, view: RunView) -> dict[str, Any]:
-    """Return the fields of a view; what only the run itself says is None without it."""
+    """Return the fields of a view; data that only the run itself reports may be None."""
     state = view.state
     return {
         "run": run_folder,
@@ -85,12 +85,12 @@ def _fields(run_folder: Path, view: RunView) -> dict[str, Any]:
 
 
 class WatchTable:
-    """Shows views in place on a terminal; elsewhere only the last one, as lines.
+    """Shows views in place on a terminal; elsewhere, it prints only the last view.
 
     Parameters
     ----------
     console
-        Where to.
+        The console.
     """
 
     def __init__(self, console: Console) -> None:
@@ -110,14 +110,14 @@ class WatchTable:
             self._console.print(rendered(self._last))
 
     def show(self, view: RunView) -> None:
-        """Renew the table."""
+        """Update the table."""
         self._last = view
         if self._console.is_terminal:
             self._live.update(rendered(view), refresh=True)
 
 
 def rendered(view: RunView) -> Group:
-    """The lines and tables of a view."""
+    """Return the lines and tables of a view."""
     parts: list[Text | Table] = [Text(_head(view), style="bold"), Text(_numbers(view))]
     if view.state is not None and not view.ended:
         parts.insert(1, Text(_now(view.state)))
@@ -202,16 +202,16 @@ def _failures(view: RunView) -> Table:
 
 
 HTML_SECONDS = 5.0
-"""Least seconds between two reports."""
+"""Shortest interval between two reports in seconds."""
 
 
 def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: bool) -> RunView:
-    """Show a run until it ends, keep its report fresh if `html`, and return the last view.
+    """Show a run until it ends, update its report if `html`, and return the last view.
 
     Raises
     ------
     RunFolderError
-        If there is no run, or what was shown of it lacks lines that are damaged.
+        If there is no run, or lines that were shown of it are damaged.
     """
     follower = RunFollower(path)
     written, problem = -math.inf, ""
@@ -229,7 +229,7 @@ def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: b
 
 
 def _refresh(follower: RunFollower, reload: float) -> str:
-    """Write the report; why it could not be, or nothing."""
+    """Write the report; return why it could not be written, or ""."""
     try:
         write_report(follower.path, reload=reload, activity=follower.tail.activity)
     except RunFolderError as error:

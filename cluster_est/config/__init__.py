@@ -1,1 +1,1 @@
-"""A TOML file, with all that it names, made into a problem, a method and settings."""
+"""Conversion of a TOML file and the files that it names to a problem, a method and settings."""

@@ -1,7 +1,7 @@
-"""From a checked config to a problem: reads the FMU and the measured tables.
+"""Conversion of a checked config to a problem; reads the FMU and the measured tables.
 
-Maps become parameters: a table of values over points, smooth and monotone if that is known;
-`cluster_est.problem.effects.table_values` says what smoothness is. Effects bring parameters too.
+Maps become parameters: a map is a table of values over points, which may be smooth and monotone.
+`cluster_est.problem.effects.table_values` describes smoothness. Effects also add parameters.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ from workers.messages.model import check_solver
 def read_problem(
     path: str | Path, overrides: Sequence[str] = (), *, allow_code: bool = False
 ) -> Problem:
-    """The problem that a config file describes, with its FMU and data read.
+    """Return the problem of a config file, including its FMU and data.
 
     Parameters
     ----------
     path
-        The TOML file; paths in it start from its folder.
+        The TOML file; paths in it are relative to its folder.
     overrides
         "key=value" with dots in the key, as on the command line.
     allow_code
-        Whether Python functions that it names may run.
+        Whether Python functions named in the config may run.
 
     Raises
     ------
@@ -67,16 +67,16 @@ def read_problem(
 
 
 def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Problem:
-    """Read everything that a config names.
+    """Return the problem of a config, including its FMU and data.
 
     Parameters
     ----------
     config
         A checked config.
     base
-        The folder that its paths start from.
+        Folder to which its paths are relative.
     allow_code
-        Whether Python functions that it names may run.
+        Whether Python functions named in the config may run.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
                 f"{dotted('values', name)}: must not also be a parameter, but is; remove one of "
                 f"the two, or set {dotted('parameters', name)}.fixed = true"
             )
-    # a sensor shows what all else has left
+    # sensors come last, because they show the result of all other effects
     effects = (*build_effects(tuple(config.effects)), *build_shared_sensors(config))
     code = UserCode(base, allowed=allow_code)
     experiments, tables = build_experiments(config, base, code)
@@ -125,7 +125,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
 
 
 def _check_units(units: Mapping[str, str], description: ModelDescription) -> None:
-    """Refuse values of files that are in another unit than the FMU's."""
+    """Refuse values of files whose unit differs from the FMU's."""
     for name, unit in units.items():
         variable = description.variables.get(name)
         if variable is not None and variable.unit not in ("", unit):
@@ -189,12 +189,12 @@ def _solver(config: Config, interface: Interface) -> Solver:
 
 
 def build_effects(sections: tuple[EffectSection, ...]) -> tuple[MadeEffect, ...]:
-    """The effects of a config, each with its coefficients as parameters.
+    """Return the effects of a config, each with its coefficients as parameters.
 
     Raises
     ------
     ConfigError
-        If an effect names both a form and an equation, or neither, or a coefficient that it lacks.
+        If an effect has both a form and an equation, or neither, or an unknown coefficient.
     EffectError
         If there is no such form or site.
     """
@@ -202,12 +202,12 @@ def build_effects(sections: tuple[EffectSection, ...]) -> tuple[MadeEffect, ...]
 
 
 def build_shared_sensors(config: Config) -> tuple[MadeEffect, ...]:
-    """The effects of outputs whose scale or offset is shared, each with its coefficients.
+    """Return effects for the outputs with a shared scale or offset, with their coefficients.
 
     Raises
     ------
     ConfigError
-        If one is shared in some experiments and not in others, or contradicts another key.
+        If a scale or offset is shared in some experiments only, or contradicts another key.
     """
     outputs: dict[str, OutputSection] = {}
     for experiment in config.experiments:
@@ -224,7 +224,7 @@ def build_shared_sensors(config: Config) -> tuple[MadeEffect, ...]:
 
 
 def _check_shared(where: str, given: OutputSection, first: OutputSection) -> None:
-    """Refuse a shared scale or offset that not all experiments have, or that says nothing."""
+    """Refuse a shared scale or offset that not all experiments have, or that has no influence."""
     for key in ("free_scale", "free_offset"):
         value, elsewhere = getattr(given, key), getattr(first, key)
         if value != elsewhere and "shared" in (value, elsewhere):
@@ -266,12 +266,12 @@ def _declared(section: EffectSection) -> DeclaredEffect:
 
 
 def with_maps(config: Config) -> Config:
-    """Return the config with its maps written out as parameters and constraints.
+    """Return the config with its maps converted to parameters and constraints.
 
     Raises
     ------
     ConfigError
-        If a map contradicts itself, or takes a name that a parameter has.
+        If a map contradicts itself, or has the name of a parameter.
     """
     if not config.maps:
         return config
@@ -293,7 +293,7 @@ def with_maps(config: Config) -> Config:
 
 
 def _table(name: str, section: MapSection) -> ValueTable:
-    """A map as a table of values, checked."""
+    """Return a map as a checked table of values."""
     where, count = dotted("maps", name), len(section.points)
     check_table_name(name, where, "NAME_1, NAME_2, ...")
     if len(section.variables) != count:
@@ -320,7 +320,7 @@ def _table(name: str, section: MapSection) -> ValueTable:
 
 
 def _parameters(section: MapSection, table: ValueTable) -> Mapping[str, ParameterSection]:
-    """The parameters of a map, by their names in the config."""
+    """Return the parameters of a map, by their names in the config."""
     names = [name for name in table.values if name is not None]
     of_values = dict(zip(names, section.variables, strict=True))
     if section.slope_change is None or section.fixed:

@@ -1,4 +1,4 @@
-"""What a config chooses by name: method, cost, priors, resources, and Python functions."""
+"""Objects that a config selects by name: method, cost, priors, resources, Python functions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from workers.residuals.functions import load
 
 
 def build_resources(config: Config) -> Resources:
-    """Executor, limits and budget."""
+    """Return the executor, limits and budget."""
     section = config.executor
     memory = float("inf") if section.memory is None else section.memory * 2.0**20
     return Resources(
@@ -36,19 +36,25 @@ def build_resources(config: Config) -> Resources:
 
 
 def build_method(config: Config) -> Method:
-    """The method with its options.
+    """Return the method with its options.
 
     Raises
     ------
     ConfigError
-        If an option is unknown or of the wrong kind.
+        If an option is unknown or of the wrong type.
     """
     name = METHOD_ALIASES.get(config.method.name, config.method.name)
     return _with_options(SEARCH_METHODS[name], config.method.options, "method.options")
 
 
 def build_cost(config: Config) -> Cost:
-    """The cost with its options; likewise."""
+    """Return the cost with its options.
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown or of the wrong type, or if the total cost has no function.
+    """
     name = COST_ALIASES.get(config.cost.name, config.cost.name)
     if name == TotalCost.name and not config.cost.function:
         raise ConfigError(
@@ -59,12 +65,12 @@ def build_cost(config: Config) -> Cost:
 
 
 def build_prior(given: dict[str, Any], where: str) -> Prior | None:
-    """The prior of a parameter; None where a config names none.
+    """Return the prior of a parameter; None if the config has none.
 
     Raises
     ------
     ConfigError
-        If there is no such prior, or a key is missing, unknown or of the wrong kind.
+        If there is no such prior, or a key is missing, unknown or of the wrong type.
     """
     if not given:
         return None
@@ -103,14 +109,14 @@ _NAMED = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 @dataclass(frozen=True)
 class UserCode:
-    """Finds functions.
+    """Finds user-defined functions.
 
     Attributes
     ----------
     base
-        The config's folder, where their files may be.
+        Folder of the config, which may contain their files.
     allowed
-        Whether they may run.
+        Whether user code may run.
     """
 
     base: Path
@@ -119,13 +125,13 @@ class UserCode:
     def function(self, text: str, where: str, *, equality: bool = False) -> UserFunction:
         """Find the function "module:name".
 
-        It is in MODULE.py beside the config, whose text is sent to the workers, or in a module that
-        is installed on each of them.
+        It is in MODULE.py in the folder of the config, whose text is sent to the workers, or in a
+        module that is installed for each worker.
 
         Raises
         ------
         ConfigError
-            If it is not written so, or code is not allowed.
+            If the text has another format, or code is not allowed.
         ModelError
             If there is no such function.
         """

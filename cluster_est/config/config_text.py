@@ -1,4 +1,4 @@
-"""The text of a config: read as TOML, its keys with their lines, what replaces them."""
+"""The text of a config: TOML, lines of its keys, overrides, and values still to be filled in."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from workers.fmu.description import nearest
 
 
 def read_toml(path: Path, missing: str) -> tuple[str, dict[str, Any]]:
-    """Return the text of a file and the tree that it is.
+    """Return the text of a file and its TOML tree.
 
     Parameters
     ----------
     path
-        Of a config, a sweep or limits.
+        Path of a config, a sweep file or a limits file.
     missing
-        Opens the message where there is no such file.
+        Start of the error message if there is no such file.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def read_toml(path: Path, missing: str) -> tuple[str, dict[str, Any]]:
         raise ConfigError(
             f"{path}: must be a readable file, but is not ({error.strerror}); check the path"
         ) from error
-    except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
+    except (ValueError, RecursionError) as error:  # tomllib also raises others
         raise ConfigError(f"{path}: must be TOML, but is not: {error}; correct that line") from None
 
 
@@ -61,14 +61,14 @@ EXPERIMENTS = "experiments"
 
 
 def with_lines(message: str, path: Path, overridden: Sequence[str] = ()) -> str:
-    """Put the file and the line in front of each line of a message that begins with a key.
+    """Add the file and the line to each line of a message that begins with a key.
 
     Parameters
     ----------
     message
-        Of an error, such as "parameters.k.bounds: must be ...", perhaps with the file already.
+        An error message, such as "parameters.k.bounds: must be ...", possibly with the file.
     path
-        Of the config; the message stays as it is where that cannot be read.
+        Path of the config; if it cannot be read, the message is not changed.
     overridden
         Keys whose values are not those of the file.
     """
@@ -95,12 +95,12 @@ def _with_line(
 
 
 def _leads_to(name: str, key: str) -> bool:
-    """Return whether a key is the name of a line, or inside of what stands there."""
+    """Return whether a key is the name of a line, or is below this name."""
     return key == name or key.startswith((f"{name}.", f"{name}["))
 
 
 def _assignments(text: str) -> Iterator[tuple[str, int]]:
-    """Yield the whole name and the line of each assignment and each table."""
+    """Yield the complete name and the line of each assignment and each table."""
     lines = text.splitlines()
     table = ""
     for number, line in enumerate(lines, 1):
@@ -120,7 +120,7 @@ def _joined(key: str) -> str:
 
 
 def _id_below(lines: list[str]) -> str:
-    """Return the id of the experiment whose table begins above these lines."""
+    """Return the id of the experiment whose table begins before these lines."""
     for line in lines:
         if _HEADER.match(line) is not None:
             break
@@ -131,20 +131,20 @@ def _id_below(lines: list[str]) -> str:
 
 
 def override(raw: dict[str, Any], text: str) -> None:
-    """Put one key=value into the raw config.
+    """Set one key=value in a raw config.
 
     Parameters
     ----------
     raw
         The config, as read from TOML; it is changed.
     text
-        The key has dots; an entry of a list is named by its id or its position. The value is TOML,
-        or text where it is not.
+        The key contains dots; an entry of a list is named by its id or its position. The value is
+        TOML, otherwise text.
 
     Raises
     ------
     ConfigError
-        If it is no key=value, or its key leads nowhere.
+        If it is not key=value, or its key does not exist.
     """
     key, equals, value = text.partition("=")
     key = key.strip()
@@ -168,7 +168,7 @@ def override(raw: dict[str, Any], text: str) -> None:
 
 
 def _parts(key: str) -> list[str]:
-    """The key's parts; a part in quotes may hold dots, as an FMU's names do."""
+    """Return the parts of a key; a part in quotes may contain dots, as names in FMUs do."""
     try:
         found: Any = tomllib.loads(f"{key} = 0")
     except ValueError:
@@ -198,20 +198,20 @@ def _value(text: str) -> Any:
 
 
 FILL_IN = "FILL IN"
-"""Begins a value that only the author knows."""
+"""Start of a placeholder for a value that the user must fill in."""
 
 
 def unfilled(tree: dict[str, Any], text: str, where: str) -> Iterator[str]:
-    """Yield a sentence for each value that still has to be filled in, with its line.
+    """Yield a sentence, with its line, for each value that must still be filled in.
 
     Parameters
     ----------
     tree
-        What was read, with what the command line has changed.
+        The TOML tree with the overrides of the command line.
     text
-        Of the file.
+        Text of the file.
     where
-        Its name.
+        Name of the file.
     """
     lines = text.splitlines()
     for key, value in dict(_texts(tree)).items():
@@ -227,7 +227,7 @@ def unfilled(tree: dict[str, Any], text: str, where: str) -> Iterator[str]:
 
 
 def _texts(tree: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the texts of a tree by their keys."""
+    """Yield the texts of a tree with their keys."""
     if isinstance(tree, str):
         yield key, tree
     elif isinstance(tree, dict):

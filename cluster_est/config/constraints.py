@@ -1,4 +1,4 @@
-"""Constraints that a config names, on parameters and on signals."""
+"""Constraints of a config on parameters and on signals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def tracking_bands(
     stop: float,
     measured: Sequence[Output],
 ) -> list[SignalBound]:
-    """A band around the measured signal, where this experiment has it."""
+    """Return a band around the measured signal, if this experiment contains it."""
     first, last = section.between or (start, stop)
     found = []
     for output in measured:
@@ -88,7 +88,7 @@ def signal_bound(section: ConstraintSection, where: str, start: float, stop: flo
 def _interval(
     section: ConstraintSection, where: str, start: float, stop: float
 ) -> tuple[float, float]:
-    """Return the part of the simulation in which a limit holds."""
+    """Return the part of the simulation in which a limit applies."""
     first, last = section.between or (start, stop)
     first, last = max(first, start), min(last, stop)
     if section.between is not None and section.between[0] > section.between[1]:
@@ -118,7 +118,7 @@ def _check_step(step: StepSection, where: str) -> None:
 
 
 def _corners(section: ConstraintSection) -> list[float]:
-    """Times at which a limit bends or jumps."""
+    """Return the times at which a limit has a kink or a jump."""
     step = section.step_response
     if step is not None:
         return _step_times(step)
@@ -128,7 +128,7 @@ def _corners(section: ConstraintSection) -> list[float]:
 def _check_finite_somewhere(
     section: ConstraintSection, where: str, times: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> None:
-    """A limit that is nowhere is a mistake."""
+    """Refuse a limit that is finite at no time."""
     limits = {"lower": lower, "upper": upper, "step_response": lower}
     for key, limit in limits.items():
         if getattr(section, key) is not None and not np.isfinite(limit).any():
@@ -154,7 +154,7 @@ def _final(section: ConstraintSection, stop: float) -> SignalBound:
 def _level(
     points: list[tuple[float, float]] | None, times: FloatArray, none: float, where: str
 ) -> FloatArray:
-    """A limit at each time: constant, or straight from point to point and none outside of them."""
+    """Return a limit at each time: constant, or linear between points and absent outside."""
     if points is None:
         return np.full(len(times), none)
     known, values = np.array(points).T
@@ -166,12 +166,12 @@ def _level(
 
 
 def _step_times(step: StepSection) -> list[float]:
-    """Return the times at which it begins, must have risen and must have settled."""
+    """Return the times of the step, of its rise and of its settling."""
     return [step.time + since for since in (0.0, step.rise_time, step.settling_time)]
 
 
 def _envelope(step: StepSection, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Limits of a step response, from the beginning of the step on."""
+    """Return the limits of a step response, from the time of the step on."""
     begun, risen, settled = (times >= moment for moment in _step_times(step))
     low = np.where(risen, step.rise / 100.0, -step.undershoot / 100.0)
     low = np.where(settled, 1.0 - step.settling / 100.0, low)
@@ -191,7 +191,7 @@ _SIGNAL_KEYS = (
     *("tolerance", "between", "samples", "scale", "experiments"),
 )
 _KEYS = {"expression": ("scale",), "signal": _SIGNAL_KEYS, "function": ("equality", "experiments")}
-"""The keys that each kind of constraint may have."""
+"""Keys that each kind of constraint may have."""
 
 
 def parameter_constraints(
@@ -202,7 +202,7 @@ def parameter_constraints(
     Raises
     ------
     ConfigError, ProblemError
-        If a constraint is of no kind or of several, or its expression cannot be read.
+        If a constraint has no kind or several kinds, or its expression cannot be parsed.
     """
     found: list[ParameterConstraint] = []
     measured = {name for experiment in config.experiments for name in experiment.outputs}
@@ -217,12 +217,12 @@ def parameter_constraints(
 
 
 def check_signals(config: Config, description: ModelDescription) -> None:
-    """Refuse constraints on signals that the FMU does not have.
+    """Check that the FMU has the signals of all constraints.
 
     Raises
     ------
     ModelError
-        With names that are close.
+        If it lacks one. The message contains similar names.
     """
     for i, section in enumerate(config.constraints):
         if section.signal:
@@ -239,14 +239,14 @@ def signal_bounds(
     config
         A checked config.
     experiment, start, stop
-        The experiment's id, and what is simulated of it.
+        The experiment's id, and the simulated interval.
     measured
         Its outputs, around which there may be a band.
 
     Raises
     ------
     ConfigError
-        If nothing of it lies in that time.
+        If a constraint does not apply at any time in that interval.
     """
     found = []
     for i, section in enumerate(config.constraints):
@@ -294,7 +294,7 @@ def _check_kind(
 
 
 def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
-    """A key that says nothing about a constraint of this kind is a mistake."""
+    """Refuse a key that does not apply to this kind of constraint."""
     for key, value in section:
         default = ConstraintSection.model_fields[key].get_default(call_default_factory=True)
         if key not in ("name", kind, *_KEYS[kind]) and value != default:
@@ -309,7 +309,7 @@ def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
 
 
 def _check_limits(section: ConstraintSection, where: str, measured: set[str]) -> None:
-    """A signal has limits of one kind."""
+    """Check that a signal has limits of exactly one kind."""
     keys = ("lower", "upper", "step_response", "tracking", "final")
     given = [key for key in keys if getattr(section, key) is not None]
     if section.signal and not given:

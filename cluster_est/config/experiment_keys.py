@@ -1,8 +1,8 @@
-"""The keys of an experiment, and those that all experiments share.
+"""The keys of an experiment, and the defaults for all experiments.
 
-The keys of `[experiment_defaults]`, which every experiment has unless it says otherwise, are put
-into the experiments of the raw tree before it is checked as a whole, so that nothing else knows of
-them: a run's own config has every experiment with all of its keys.
+The keys of `[experiment_defaults]` apply to every experiment that does not set them itself. They
+are inserted into the experiments of the raw tree before the complete tree is checked. So no other
+module handles defaults, and the config saved by a run contains all keys of every experiment.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class LongSection(ConfigSection):
 
 
 class _NamedSection(ConfigSection):
-    """The key that no two experiments share."""
+    """The key that is unique to each experiment."""
 
     id: str = Field(
         min_length=1,
@@ -131,7 +131,7 @@ class _NamedSection(ConfigSection):
 
 
 class _ExperimentKeys(ConfigSection):
-    """What an experiment says of its table, or what all of them say."""
+    """Keys that may be set for an experiment or as defaults for all experiments."""
 
     data: str | None = Field(
         None,
@@ -276,26 +276,26 @@ class ExperimentSection(_ExperimentKeys, _NamedSection):
 
 
 class ExperimentDefaultsSection(_ExperimentKeys):
-    """Keys that every experiment has unless it says otherwise."""
+    """Keys of every experiment that does not set them itself."""
 
 
 DEFAULTS = "experiment_defaults"
 SIGNAL_TABLES = ("inputs", "outputs", "signals")
-"""Tables whose entries are columns; an empty name takes an entry of the defaults away."""
+"""Tables whose entries are columns; an empty column name removes an entry of the defaults."""
 SIGMAS = ("sigma", "relative_sigma")
 """Keys of an experiment with a number for each output."""
 EXCLUSIVE_TIME_KEYS = ("time", "sample_time")
-"""Keys that exclude each other: with one of its own an experiment does not take the other."""
+"""Mutually exclusive keys: an experiment that sets one does not use the default of the other."""
 
 
 def with_defaults(raw: dict[str, Any]) -> dict[str, Any]:
-    """Return a config's tree without defaults, each experiment with what it takes of them.
+    """Return a config's tree without defaults, in which each experiment includes them.
 
     Parameters
     ----------
     raw
-        As read from TOML. Its table of defaults is valid; whether its experiments are is found out
-        afterwards.
+        The tree, as read from TOML, with a valid table of defaults. Its experiments are checked
+        later.
     """
     kept = {key: value for key, value in raw.items() if key != DEFAULTS}
     experiments = raw.get("experiments")
@@ -311,7 +311,7 @@ def with_defaults(raw: dict[str, Any]) -> dict[str, Any]:
 def unused_defaults(
     defaults: dict[str, Any], experiments: Sequence[ExperimentSection]
 ) -> Iterator[str]:
-    """Yield a sentence for each name in the defaults that means nothing to any experiment."""
+    """Yield a sentence for each name in the defaults that no experiment uses."""
     outputs = sorted({name for each in experiments for name in each.outputs})
     columns = sorted({name for each in experiments for name in _used(each.model_dump())})
     for key in SIGMAS:
@@ -326,7 +326,7 @@ def unused_defaults(
 
 
 def _beside(name: str, known: list[str]) -> str:
-    """Return the end of a message: either of two names may be the misspelt one."""
+    """Return the end of a message that one of two similar names may be wrong."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if near:
         return f"; the nearest name is {near[0]!r}, so one of the two names may be wrong"
@@ -334,7 +334,7 @@ def _beside(name: str, known: list[str]) -> str:
 
 
 def _long_forms(section: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of an experiment with tables in the place of their short forms."""
+    """Return the keys of an experiment with short forms replaced by tables."""
     found = dict(section)
     for key in SIGNAL_TABLES:
         if isinstance(found.get(key), dict):
@@ -348,7 +348,7 @@ def _long_forms(section: dict[str, Any]) -> dict[str, Any]:
 
 
 def _whole(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Return an experiment with what it takes of the defaults."""
+    """Return an experiment together with its defaults."""
     timed = any(key in own for key in EXCLUSIVE_TIME_KEYS)
     taken = {k: v for k, v in defaults.items() if not (timed and k in EXCLUSIVE_TIME_KEYS)}
     for key in SIGNAL_TABLES:
@@ -367,7 +367,7 @@ def _whole(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joined(default: Any, own: Any) -> Any:
-    """Return tables joined name by name; of anything else an experiment's own wins."""
+    """Return tables merged recursively; for other values, that of the experiment."""
     if not isinstance(default, dict) or not isinstance(own, dict):
         return own
     both = {name: _joined(default[name], own[name]) for name in own if name in default}
@@ -380,7 +380,7 @@ def _table(section: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _used(experiment: dict[str, Any]) -> set[str]:
-    """Return the columns that an experiment names."""
+    """Return the columns that an experiment uses."""
     named = [experiment.get("time")]
     for key in SIGNAL_TABLES:
         named += [_table({"": each}, "").get("column") for each in _table(experiment, key).values()]

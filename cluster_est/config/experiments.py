@@ -1,8 +1,8 @@
-"""From the experiments of a config to measured signals, constraints and time bases.
+"""Conversion of a config's experiments to measured signals, constraints and time bases.
 
-The time base says at which times simulated and measured signals are compared. A simulation stands
-exactly on every time that is asked for, so only measured signals are ever interpolated, and the
-number of residuals is the same for every point, whatever the solver does.
+The time base determines the times at which simulated and measured signals are compared. A
+simulation stops exactly at each of these times, so only measured signals are interpolated. The
+number of residuals is the same at every point, independent of the solver.
 """
 
 from __future__ import annotations
@@ -48,27 +48,27 @@ from workers.messages import (
 )
 
 Tables = dict[tuple[Path, Reading], MeasuredTable]
-"""Files that were read, each once in each way."""
+"""Tables that were read, once for each file and way of reading."""
 
 
 def build_experiments(
     config: Config, base: Path, code: UserCode
 ) -> tuple[tuple[Experiment, ...], tuple[TableSource, ...]]:
-    """Read every experiment, and say from where.
+    """Read all experiments, and return them with their tables.
 
     Parameters
     ----------
     config
         A checked config.
     base
-        The folder that its paths start from.
+        Folder to which its paths are relative.
     code
-        Finds functions of the user's.
+        Finds user-defined functions.
 
     Returns
     -------
     experiments, tables
-        The experiments; the table of each one that has one over time, with what is used of it.
+        The experiments; the table of each experiment with signals over time, with the used columns.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def build_experiments(
 def _source(
     section: ExperimentSection, config: Config, base: Path, tables: Tables
 ) -> list[TableSource]:
-    """Return the table of an experiment, if it has one over time, with the columns it uses."""
+    """Return the table of an experiment with signals over time, with the columns it uses."""
     named = (
         *((f"inputs.{name}", each.column) for name, each in section.inputs.items()),
         *((f"signals.{name}", each.column) for name, each in section.signals.items()),
@@ -121,7 +121,7 @@ def _source(
 
 
 def _begin(columns: MeasuredColumns, times: FloatArray, section: ExperimentSection) -> float:
-    """Return where a record begins: with its first row, or behind rows without any cell."""
+    """Return the start of a record: its first row, or the first row with any value."""
     inputs = [each.column for each in section.inputs.values()]
     rest = section.outputs, section.signals
     others = [each.column for given in rest for each in given.values()]
@@ -129,7 +129,7 @@ def _begin(columns: MeasuredColumns, times: FloatArray, section: ExperimentSecti
 
 
 def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[RecordGap, ...]:
-    """Return the gaps in which outputs were not measured; windows of the user's are none."""
+    """Return the gaps in which outputs were not measured, apart from the user's windows."""
     if not section.outputs:
         return ()
     counted = next(iter(section.outputs.values())).column
@@ -140,7 +140,7 @@ def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[
 
 
 def _units(table: MeasuredTable, used: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return the units that the file itself says of columns; by their names in the file."""
+    """Return the units of columns in the file, by the columns' names."""
     return tuple((name, table.units[name]) for name in used if table.units.get(name))
 
 
@@ -152,7 +152,7 @@ def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:
 
 
 def _test(section: ExperimentSection) -> tuple[str, str] | None:
-    """Return the column that tells tests apart, and the value of this one."""
+    """Return the column that distinguishes tests, and its value for this test."""
     if section.split_by is None or section.split_value is None:
         return None
     return section.split_by, section.split_value
@@ -161,7 +161,7 @@ def _test(section: ExperimentSection) -> tuple[str, str] | None:
 def _table(
     section: ExperimentSection, config: Config, base: Path, tables: Tables, where: str
 ) -> MeasuredTable:
-    """Return the table of an experiment, each file read once in each way."""
+    """Return the table of an experiment; each file is read once for each way of reading."""
     data = section.data or ""
     path = find_file(data, base, config.data_folders, f"{where}.data")
     key = (path, reading_of(section))
@@ -172,7 +172,7 @@ def _table(
 
 
 def reading_of(section: ExperimentSection) -> Reading:
-    """Return what an experiment says of how its file is to be read."""
+    """Return the options for reading an experiment's file."""
     given = section.model_dump(include=set(vars(Reading())))
     found = {key: value for key, value in given.items() if value is not None}
     if "long" in found:
@@ -241,7 +241,7 @@ def _read(
     tables: Tables,
     where: str,
 ) -> tuple[MeasuredColumns | None, FloatArray]:
-    """The experiment's table and its times; none where nothing is measured over time."""
+    """Return the experiment's table and its times; none if nothing is measured over time."""
     if section.data is None:
         return None, np.zeros(0)
     table = _table(section, config, base, tables, where)
@@ -257,7 +257,7 @@ def _read(
 def _output(
     columns: MeasuredColumns, times: FloatArray, section: ExperimentSection, variable: str
 ) -> Output:
-    """A signal that the model should follow, where it was measured."""
+    """Return a measured output."""
     how = section.outputs[variable]
     if isinstance(how.ordinal, list):
         columns = with_grades(columns, variable, how.column, how.ordinal)
@@ -267,7 +267,7 @@ def _output(
     where = f"experiment {section.id!r}.{dotted('left_out', variable)}"
     return replace(
         without_samples(found, section.left_out.get(variable, ()), where),
-        free_scale=how.free_scale is True,  # shared ones are effects
+        free_scale=how.free_scale is True,  # shared scales and offsets are effects
         free_offset=how.free_offset is True,
         detection_limit=how.detection_limit,
         ordinal=how.ordinal is not False,
@@ -285,7 +285,7 @@ def _compared(
     start: float,
     stop: float,
 ) -> tuple[Output, ...]:
-    """Outputs on their time base, in their windows, with their weights."""
+    """Return outputs on their time base, in their windows, with their weights."""
     cost = config.cost
     for output in measured:
         if output.detection_limit is not None or output.ordinal:
@@ -303,9 +303,10 @@ def _compared(
 
 
 def _check_as_measured(output: Output, section: ExperimentSection, config: Config) -> None:
-    """Refuse what would change the samples of an output with a detection limit, or of an ordinal.
+    """Refuse options that would change the samples of a censored or ordinal output.
 
-    Or its noise: with a detection limit a weight too, for the noise then has a probability.
+    Options that change the noise are refused too. With a detection limit, this includes a weight,
+    because the residuals depend on the probability of the noise.
     """
     name = output.variable
     weight = section.outputs[name].weight * section.weight * config.cost.weights.get(name, 1.0)
@@ -323,7 +324,7 @@ def _check_as_measured(output: Output, section: ExperimentSection, config: Confi
 
 
 def _simulated(config: Config, start: float, stop: float) -> FloatArray:
-    """Every `step` seconds, where the time base asks for that."""
+    """Return the times at every `step` seconds, if the time base requires them."""
     cost = config.cost
     if cost.time_base not in ("simulated", "both"):
         return np.zeros(0)
@@ -373,12 +374,12 @@ def _check_weights(config: Config) -> None:
 
 
 def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
-    """Look for a file beside the config, then in the data folders.
+    """Look for a file in the folder of the config, then in the data folders.
 
     Raises
     ------
     ConfigError
-        If it is in none of them; the message lists them all.
+        If none of them contains it; the message lists all of them.
     """
     tried = []
     for folder in [".", *folders]:
@@ -392,7 +393,7 @@ def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
                 return candidate
             shown = os.path.normpath(candidate)
             tried.append(f"{shown} (a folder)" if candidate.is_dir() else shown)
-        except (OSError, RuntimeError) as error:  # too long, not permitted, ~ of nobody
+        except (OSError, RuntimeError) as error:  # too long, not permitted, unknown user
             tried.append(f"{file} ({error})")
     raise ConfigError(
         f"{where}: there is no file {name!r}; looked for {', '.join(dict.fromkeys(tried))}; "
@@ -401,7 +402,7 @@ def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
 
 
 ROUNDING_OF_TIMES = 16.0 * float(np.finfo(float).eps)
-"""Relative difference of times that are the same."""
+"""Largest relative difference of times that count as equal."""
 
 
 def compared_at(
@@ -410,16 +411,16 @@ def compared_at(
     time_base: TimeBase,
     simulated: FloatArray,
 ) -> tuple[Output, ...]:
-    """Put outputs on a time base.
+    """Convert outputs to a time base.
 
     Parameters
     ----------
     outputs
-        As measured.
+        The outputs as measured.
     interpolations
-        Of each between its samples.
+        Interpolation of each output between its samples.
     time_base
-        "measured": each at its own times. "union": each at the times of all of them. "simulated":
+        "measured": each at its own times. "union": each at the times of all outputs. "simulated":
         each at `simulated`. "both": at the union of those. An output counts only from its first to
         its last sample.
     simulated : (n,)
@@ -437,9 +438,9 @@ def compared_at(
 
 
 def snapped(times: FloatArray, onto: FloatArray) -> FloatArray:
-    """Put times that differ from others by rounding alone on those.
+    """Replace times that differ from times in `onto` only by rounding.
 
-    Else a sample would count twice, or a held one only after the next.
+    Otherwise a sample would count twice, or a held value would take effect only at the next time.
     """
     if not len(onto):
         return times
@@ -452,10 +453,10 @@ def snapped(times: FloatArray, onto: FloatArray) -> FloatArray:
 
 
 def snapped_bound(bound: SignalBound, onto: FloatArray) -> SignalBound:
-    """Put the times of a bound on measured ones, from which they differ by rounding alone.
+    """Replace the times of a bound that differ from measured times only by rounding.
 
-    Where two fall together, the tighter limits hold; the later ones, where those exclude each
-    other, because limits jump there.
+    If two times coincide, the tighter limits apply. If these contradict each other because the
+    limits jump, the later limits apply.
     """
     times = snapped(bound.times, onto)
     first = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0.0)
@@ -486,7 +487,7 @@ def _at(output: Output, interpolation: Interpolation, wanted: FloatArray) -> Out
 def counted(
     output: Output, first: float, last: float, windows: Sequence[tuple[float, float]]
 ) -> Output:
-    """Keep the samples of an output from first to last and, if there are any, in windows."""
+    """Return the samples of an output from first to last and, if there are windows, in windows."""
     keep = (output.times >= first) & (output.times <= last)
     if windows:
         keep &= within(output.times, windows)
@@ -494,7 +495,7 @@ def counted(
 
 
 def weighted(output: Output, normalise: Normalise, weight: float) -> Output:
-    """Let an output's squares count as often as its weight says.
+    """Return an output with its weight in the sum of squares.
 
     Its residuals are divided by sigma, or by the measured signal's largest absolute value or range,
     and multiplied by the square root of the weight.

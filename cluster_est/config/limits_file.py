@@ -1,4 +1,4 @@
-"""A file of limits for the next experiment, read and checked."""
+"""Reading and checking of a limits file for the next experiment."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ OPTION = "--predict"
 def prediction_targets(
     sections: Sequence[PredictionSection], base: Path
 ) -> tuple[PredictionTarget, ...]:
-    """Return the targets of a file of limits.
+    """Return the targets of a limits file.
 
     Parameters
     ----------
     sections
-        Of the file.
+        Sections of the file.
     base
-        Its folder, from which paths of tables start.
+        Folder of the file, to which paths of tables are relative.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def prediction_targets(
 
 
 def _experiment(section: PredictionSection, where: str, base: Path) -> str | Experiment:
-    """The name of an experiment of the run, or one that is planned."""
+    """Return the name of an experiment of the run, or a planned experiment."""
     if not section.data:
         for key in ("inputs", "time", "interpolation"):
             if key in section.model_fields_set:
@@ -120,21 +120,21 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
 def with_named_targets(
     settings: DesignSettings, named: Sequence[str], experiments: Collection[str]
 ) -> DesignSettings:
-    """Return settings that narrow what the command line names, in the place of the file's.
+    """Return settings with the targets of the command line instead of those of the file.
 
     Parameters
     ----------
     settings
-        Of the file of limits.
+        Settings of the limits file.
     named
         "EXPERIMENT" or "EXPERIMENT:OUTPUT,OUTPUT".
     experiments
-        Names of the run's.
+        Names of the experiments of the run.
 
     Raises
     ------
     ConfigError
-        If the file asks for another criterion.
+        If the file selects another criterion.
     """
     if not named:
         return settings
@@ -154,14 +154,14 @@ def with_named_targets(
 
 @dataclass(frozen=True)
 class LimitsFile:
-    """The contents of a file of limits.
+    """The contents of a limits file.
 
     Attributes
     ----------
     limits, settings, seed
-        Of the experiment, and what it is chosen for.
+        Limits of the experiment, and settings of the design.
     text
-        Of the file.
+        Text of the file.
     """
 
     limits: ExperimentLimits
@@ -171,7 +171,7 @@ class LimitsFile:
 
 
 def read_limits(path: str | Path) -> LimitsFile:
-    """Read and check a file of limits.
+    """Read and check a limits file.
 
     Raises
     ------

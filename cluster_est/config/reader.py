@@ -1,9 +1,9 @@
-"""TOML to a checked config: the only reader of config files.
+"""Reading and checking of config files.
 
-Its keys stand in `sections.py`; an unknown key is an error that names the nearest known one. What
-`value_files` hold (SSP parameter sets, or tables) is put into the raw tree before it is checked as
-a whole, so that a run's own config has every number itself. SSP 1.0, System Structure and
-Parameterization (Modelica Association, 2019), section 5.
+The keys are declared in `sections.py`; the message about an unknown key names the nearest key. The
+contents of `value_files` (SSP parameter sets, or tables) are inserted into the raw tree before the
+complete tree is checked. So the config saved by a run contains all numbers itself. SSP 1.0, System
+Structure and Parameterization (Modelica Association, 2019), section 5.
 """
 
 from __future__ import annotations
@@ -76,24 +76,24 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
 
 
 def _changed(raw: dict[str, Any], change: str) -> bool:
-    """Override a key, if it leads to what the file has itself; return whether it does."""
+    """Override a key that exists in the file; return whether it exists."""
     before = copy.deepcopy(raw)
     try:
         override(raw, change)
     except ConfigError:
         if raw == before and change.lstrip().startswith("experiments."):
-            return False  # it may be of an experiment that a pattern of files makes
+            return False  # the key may belong to an experiment from a file pattern
         raise
     return True
 
 
 def parse_config(raw: dict[str, Any], where: str) -> Config:
-    """Check a config that is already in memory; `where` opens each message.
+    """Check a config tree in memory; `where` is the start of each message.
 
     Raises
     ------
     ConfigError
-        With one line for each problem.
+        If there are problems. The message has one line for each.
     """
     if raw.get(VALUE_FILES):
         raise ConfigError(
@@ -115,7 +115,7 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
 
 
 class _OnlyDefaults(BaseModel):
-    """A config of which only the defaults of the experiments are looked at."""
+    """A config in which only the defaults of the experiments are checked."""
 
     experiment_defaults: ExperimentDefaultsSection
 
@@ -146,7 +146,7 @@ def _missing_starts(config: Config) -> Iterator[str]:
 
 
 def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: bool) -> Iterator[str]:
-    """Data, times and what is measured, which depend on each other."""
+    """Yield problems of data, times and measured signals, which depend on each other."""
     timed = experiment.outputs or experiment.inputs or experiment.signals
     given = [key for key in ("time", "sample_time") if getattr(experiment, key) is not None]
     if not experiment.outputs and experiment.curve is None and not constrained:
@@ -177,7 +177,7 @@ def _wrong_sigmas(where: str, experiment: ExperimentSection) -> Iterator[str]:
 
 
 def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iterator[str]:
-    """Contradictions within an experiment's section, found before any file is read."""
+    """Yield contradictions in an experiment's section, before any file is read."""
     where = f"experiments[{experiment.id!r}]"
     yield from _wrong_source(where, experiment, constrained=constrained)
     yield from _wrong_sigmas(where, experiment)
@@ -214,7 +214,7 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
 
 @dataclass(frozen=True)
 class GivenValue:
-    """A value of a file; `unit` is "" where none is given."""
+    """A value of a file; `unit` is "" if none is given."""
 
     name: str
     value: Value
@@ -228,20 +228,20 @@ def with_values_of_files(
     """Return a config's tree with the values of the files that it names, and their units.
 
     A value of a parameter of the config, of a variable of a map, or of an effect's coefficient
-    ("EFFECT.COEFFICIENT"), becomes its start. Any other becomes a known value of all experiments,
-    unless the config has one itself. Of two files the later one counts.
+    ("EFFECT.COEFFICIENT"), becomes its start. Any other value becomes a known value of all
+    experiments, unless the config has one itself. Later files take precedence.
 
     Parameters
     ----------
     raw
-        As read from TOML; it is not changed.
+        The tree, as read from TOML; it is not changed.
     base
-        The folder that paths of files start from.
+        Folder to which paths of files are relative.
 
     Raises
     ------
     ConfigError
-        If a file is missing, is no list of values, or has some values of a map without a start.
+        If a file is missing, is not a list of values, or has some values of a map without a start.
     """
     tree = {key: copy.deepcopy(value) for key, value in raw.items() if key != VALUE_FILES}
     given = {each.name: each for path in _paths(raw, base) for each in read_values(path)}
@@ -267,7 +267,7 @@ def with_values_of_files(
 
 
 def _into_maps(maps: Mapping[str, Any], given: Mapping[str, GivenValue]) -> set[str]:
-    """Put values into the starts of the maps that have these variables; return their names."""
+    """Set the starts of the maps that have these variables; return the variables' names."""
     found: set[str] = set()
     for key, own in _tables(maps.items()):
         variables = own.get("variables")
@@ -275,7 +275,7 @@ def _into_maps(maps: Mapping[str, Any], given: Mapping[str, GivenValue]) -> set[
         there = [name for name in names if name in given]
         start = own.get("start")
         before = start if isinstance(start, list) else [start] * len(names)
-        if there and len(before) == len(names):  # else it is refused when the config is checked
+        if there and len(before) == len(names):  # otherwise the check of the config refuses it
             own["start"] = _starts_of_map(key, dict(zip(names, before, strict=True)), given)
             found |= set(there)
     return found
@@ -284,7 +284,7 @@ def _into_maps(maps: Mapping[str, Any], given: Mapping[str, GivenValue]) -> set[
 def _starts_of_map(
     key: str, before: Mapping[str, Any], given: Mapping[str, GivenValue]
 ) -> list[Any]:
-    """The starts of a map, by its variables, with what the files have in their place."""
+    """Return the starts of a map, replaced by the values of the files."""
     starts = {n: _start(given[n]) if n in given else start for n, start in before.items()}
     missing = [name for name, start in starts.items() if start is None]
     if missing:
@@ -297,12 +297,12 @@ def _starts_of_map(
 
 
 def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:
-    """Return the sections that are tables; others are refused when the config is checked."""
+    """Return the sections that are tables; the check of the config refuses others."""
     return [(name, each) for name, each in sections if isinstance(each, dict)]
 
 
 def _inner(section: dict[str, Any], key: str) -> dict[str, Any]:
-    """The table under a key, which is made; one of no use where something else stands there."""
+    """Return the table under a key, created if missing; a dummy if the key has another type."""
     found = section.setdefault(key, {})
     return found if isinstance(found, dict) else {}
 
@@ -330,7 +330,7 @@ def _paths(raw: Mapping[str, Any], base: Path) -> list[Path]:
 
 
 def read_values(path: Path) -> list[GivenValue]:
-    """The values of a file.
+    """Read the values of a file.
 
     Raises
     ------
@@ -352,11 +352,11 @@ def read_values(path: Path) -> list[GivenValue]:
 
 
 def _parameter_set(path: Path) -> Iterator[GivenValue]:
-    from fmpy.ssp.ssd import read_ssv  # lxml is slow to import
+    from fmpy.ssp.ssd import read_ssv  # its lxml is slow to import
 
     try:
         found = read_ssv(str(path)).parameters
-    except Exception as error:  # of whatever kind fmpy and lxml raise
+    except Exception as error:  # fmpy and lxml raise many kinds of exceptions
         why = " ".join(str(error).split())
         raise ConfigError(
             f"{VALUE_FILES}: {path.name} must be a parameter set of SSP 1.0, but is not ({why}); "
@@ -370,7 +370,7 @@ def _parameter_set(path: Path) -> Iterator[GivenValue]:
 
 
 def _csv(path: Path) -> Iterator[GivenValue]:
-    """Columns name and value, and unit if the table has it; others are left alone."""
+    """Yield the values of a table with columns name, value and optionally unit."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         head = file.readline()
         file.seek(0)
@@ -391,7 +391,7 @@ def _csv(path: Path) -> Iterator[GivenValue]:
 
 
 def _value(text: str) -> Value:
-    """A number, true or false, or else a text."""
+    """Return a number, a Boolean, or otherwise the text."""
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):

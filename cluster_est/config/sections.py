@@ -24,7 +24,7 @@ from cluster_est.uncertainty import UncertaintySettings
 
 
 def _level(value: Any) -> Any:
-    """A number, or points of a curve over time."""
+    """Return a number or a curve over time as a list of points."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if number and abs(value) <= sys.float_info.max:
         return [(0.0, float(value))]
@@ -507,11 +507,11 @@ class Config(ConfigSection):
 
     @property
     def units_of_files(self) -> Mapping[str, str]:
-        """The units that `value_files` name, by the FMU's names."""
+        """The units that `value_files` contain, by the FMU's names."""
         return self._units_of_files
 
     def with_units_of_files(self, units: Mapping[str, str]) -> Self:
-        """Return a config whose values of files are in these units."""
+        """Return a config with the units of its files' values."""
         changed = self.model_copy()
         changed._units_of_files = dict(units)
         return changed

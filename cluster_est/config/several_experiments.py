@@ -1,7 +1,7 @@
-"""One entry of `[[experiments]]` for many: a pattern of files, and a file with many tests.
+"""Entries of `[[experiments]]` that represent several experiments: file patterns and tests.
 
-They are put into the raw tree before it is checked, one experiment for each file and test, so that
-nothing else knows of patterns: a run's own config has every experiment by its own name.
+They are expanded in the raw tree before it is checked, into one experiment for each file and test.
+So no other module handles patterns, and the config saved by a run names every experiment.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ _NUMBERS = re.compile(r"(\d+)")
 def with_every_experiment(raw: Mapping[str, Any], base: Path) -> dict[str, Any]:
     """Return a config's tree with an experiment for each file of a pattern and each test of a file.
 
-    Files and tests that another entry names itself are left to that one.
+    Files and tests that another entry names explicitly are omitted.
 
     Parameters
     ----------
     raw
-        As read from TOML; it is not changed.
+        The tree, as read from TOML; it is not changed.
     base
-        The folder that paths start from.
+        Folder to which paths are relative.
 
     Raises
     ------
     ConfigError
-        If no file fits a pattern.
+        If no file matches a pattern.
     DataError
-        If a file with many tests cannot be read.
+        If a file with several tests cannot be read.
     """
     given, defaults = raw.get("experiments"), raw.get(DEFAULTS, {})
     if not isinstance(given, list) or not isinstance(defaults, dict):
@@ -56,7 +56,7 @@ def with_every_experiment(raw: Mapping[str, Any], base: Path) -> dict[str, Any]:
 
 
 def _data(own: Any, defaults: Mapping[str, Any]) -> str:
-    """Return the path of an experiment's table; "" where it is none."""
+    """Return the path of an experiment's table; "" if it has none."""
     if not isinstance(own, dict):
         return ""
     data = own.get("data", defaults.get("data", ""))
@@ -86,13 +86,13 @@ def _of_files(
 
 
 def _named(data: str, base: Path, folders: list[Any]) -> Iterator[Path]:
-    """Yield the file that an experiment names itself."""
+    """Yield the file that an experiment names explicitly."""
     if data and "*" not in data:
         yield from _found(data, base, folders, whole=True)
 
 
 def _found(data: str, base: Path, folders: list[Any], *, whole: bool = False) -> Iterator[Path]:
-    """Yield the files of a pattern, or the one of that name, beside the config and in folders."""
+    """Yield the files of a pattern or name in the config's folder and the data folders."""
     for folder in [".", *map(str, folders)]:
         place = os.path.expanduser(os.path.expandvars(os.path.join(folder, data)))
         path = base / place
@@ -108,7 +108,7 @@ def _found(data: str, base: Path, folders: list[Any], *, whole: bool = False) ->
 
 
 def _in_order(path: Path) -> tuple[Any, ...]:
-    """Return what sorts run2 before run10."""
+    """Return a sort key that places run2 before run10."""
     parts = _NUMBERS.split(str(path))
     return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
 
@@ -123,7 +123,7 @@ def _of_tests(
         return
     data = _data(own, defaults)
     path = next(_found(data, base, folders, whole=True), None)
-    if path is None:  # which is said where files are read
+    if path is None:  # reported when the files are read
         yield own
         return
     where = f"experiment {own.get('id', '')!r}"
@@ -139,7 +139,7 @@ def _of_tests(
 
 
 def _reading(section: Section) -> Reading:
-    """Return what a section says of its file, as far as it is of the right kind."""
+    """Return a section's options for reading its file that have valid types."""
     kinds = {"encoding": str, "skip_rows": int, "decimal": str, "sheet": str}
     found: Section = {
         key: section[key] for key, kind in kinds.items() if isinstance(section.get(key), kind)

@@ -1,4 +1,4 @@
-"""The design of the next experiment: the input that tells rivals apart, or narrows parameters.
+"""Design of the next experiment: an input that discriminates rivals or narrows parameters.
 
-`design.design` is where to begin, with `limits.ExperimentLimits`.
+Start with `design.design` and `limits.ExperimentLimits`.
 """

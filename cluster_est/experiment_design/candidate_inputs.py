@@ -1,4 +1,4 @@
-"""Candidate inputs: points of a cube, and the experiments that they make."""
+"""Candidate inputs: points of a unit cube, and the experiments made from them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from workers.grid import values_at
 from workers.messages import Experiment, FloatArray, Input, Output, SignalBound
 
 FREE_AMPLITUDES = 0.5
-"""Share of the first candidates whose amplitude is drawn; the others have the largest."""
+"""Share of the first candidates with a random amplitude; the others have the largest amplitude."""
 RANDOM, RECORDED, IMPROVED, SMALLER_AMPLITUDES = "random", "recorded", "improved", "smaller"
-"""Where a candidate comes from."""
+"""Origins of candidates."""
 NO_WAVEFORM = "start values"
-"""Name of the waveform where no input is designed."""
+"""Name of the waveform if no input is designed."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,14 @@ class CandidateInput:
     name
         Such as "candidate 12".
     waveform
-        Its name; "recorded" for the inputs of an earlier experiment.
+        Name of the waveform; "recorded" for the inputs of an earlier experiment.
     origin
-        "random", "smaller" for a random one that was shrunk, "recorded" or "improved".
+        "random", "smaller" for a random candidate with reduced amplitudes, "recorded" or
+        "improved".
     experiment
-        To be simulated: its outputs have no measured values yet.
+        The experiment to simulate; its outputs have no measured values yet.
     point
-        Of the cube; empty for what was recorded.
+        Point of the cube; empty for a recorded input.
     """
 
     name: str
@@ -47,23 +48,23 @@ class CandidateInput:
 
 @dataclass(frozen=True)
 class CandidateMaker:
-    """Makes experiments of points, within limits.
+    """Makes experiments from points of the cube, within limits.
 
     Attributes
     ----------
     limits
-        Of the next experiment.
+        Limits of the next experiment.
     like
-        The experiment that it begins like.
+        The experiment whose start the next experiment has.
     sigmas
         Standard deviation of the noise of each output, in its unit.
     waveforms
-        Names of those that may be chosen.
+        Names of the waveforms to choose from.
     signals
-        Limits of outputs and other variables: those that are given, and for the other outputs what
-        the run has seen and a little more.
+        Limits of outputs and other variables: the given limits, and for other outputs an extended
+        range of the run's measurements.
     whole
-        Names of the inputs that take whole numbers alone.
+        Names of the inputs that accept only integers.
     """
 
     limits: ExperimentLimits
@@ -74,11 +75,11 @@ class CandidateMaker:
     whole: frozenset[str] = frozenset()
 
     def size(self, waveform: str) -> int:
-        """Coordinates of a point: of every input, then of start values, then the duration."""
+        """Return the number of coordinates of a point: inputs, start values, duration."""
         return self._each(waveform) * len(self.limits.inputs) + len(self.limits.start) + 1
 
     def draw(self, number: int, generator: np.random.Generator) -> CandidateInput:
-        """Draw a candidate: its waveform in turn, its point at random."""
+        """Draw a random candidate; waveforms alternate."""
         waveform = self.waveforms[number % len(self.waveforms)]
         point = generator.random(self.size(waveform))
         if generator.random() > FREE_AMPLITUDES:
@@ -92,23 +93,23 @@ class CandidateMaker:
         size: float,
         generator: np.random.Generator,
     ) -> CandidateInput:
-        """Move some coordinates of a candidate; steps have this standard deviation."""
+        """Change some coordinates of a candidate; steps have standard deviation `size`."""
         point = candidate.point.copy()
         moved = generator.random(len(point)) < max(0.3, 2.0 / len(point))
         steps = size * generator.standard_normal(len(point))
         point = np.where(moved, point + steps, point)
-        point = 1.0 - np.abs(1.0 - np.abs(point))  # reflected at the cube's faces
+        point = 1.0 - np.abs(1.0 - np.abs(point))  # reflected at the faces of the cube
         point = np.clip(point, 0.0, 1.0)
         return self.make(f"candidate {number}", candidate.waveform, IMPROVED, point)
 
     def shrunk(self, candidate: CandidateInput, number: int, factor: float) -> CandidateInput:
-        """Return a candidate with its amplitudes made smaller."""
+        """Return a candidate with its amplitudes reduced."""
         point = candidate.point.copy()
         point[self._amplitudes(candidate.waveform)] *= factor
         return self.make(f"candidate {number}", candidate.waveform, SMALLER_AMPLITUDES, point)
 
     def make(self, name: str, waveform: str, origin: str, point: FloatArray) -> CandidateInput:
-        """Make the candidate of a point."""
+        """Return the candidate of a point."""
         limits = self.limits
         shortest, longest = limits.duration
         times = self._times(shortest + float(point[-1]) * (longest - shortest))
@@ -128,7 +129,7 @@ class CandidateMaker:
         return CandidateInput(name, waveform if inputs else NO_WAVEFORM, origin, made, point)
 
     def recorded(self, earlier: Experiment) -> CandidateInput | None:
-        """Return the inputs of an earlier experiment as a candidate; None if they break limits."""
+        """Return the inputs of an earlier experiment as a candidate; None outside the limits."""
         limits = self.limits
         shortest, longest = limits.duration
         times = self._times(min(earlier.stop - earlier.start, longest))
@@ -159,12 +160,12 @@ class CandidateMaker:
         return LEVEL_COORDINATES + WAVEFORMS[waveform].size
 
     def _amplitudes(self, waveform: str) -> slice:
-        """The places of the amplitudes of all inputs in a point."""
+        """Return the positions of the amplitudes of all inputs in a point."""
         each = self._each(waveform)
         return slice(0, each * len(self.limits.inputs), each)
 
     def _times(self, duration: float) -> FloatArray:
-        """Times of the samples, from the beginning of `like` on."""
+        """Return the times of the samples, from the start of `like` on."""
         samples = 1 + int(duration / self.limits.sample_time + 0.5)
         times: FloatArray = np.arange(samples, dtype=np.float64)
         return self.like.start + self.limits.sample_time * times
@@ -192,7 +193,7 @@ class CandidateMaker:
 
 
 def _keeps(values: FloatArray, step: float, limits: InputLimits) -> bool:
-    """Whether a signal keeps the limits of its input."""
+    """Return whether a signal satisfies the limits of its input."""
     fastest = float(np.abs(np.diff(values)).max(initial=0.0)) / step
     begins = limits.start is None or bool(np.isclose(values[0], limits.start))
     inside = limits.lower <= values.min() and values.max() <= limits.upper

@@ -1,6 +1,6 @@
-"""Criteria: how much an experiment is worth before it has been made.
+"""Criteria for the value of an experiment before it is made.
 
-A new one is a class here that is derived from `DesignCriterion`, and a name in `CRITERIA`.
+To add a criterion, derive a class from `DesignCriterion` here, and add its name to `CRITERIA`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ Predictions = Sequence[PredictedExperiment]
 
 
 class DesignCriterion(ABC):
-    """A measure of what an experiment will tell."""
+    """A measure of the expected information of an experiment."""
 
     name: ClassVar[str]
-    """As in a file of limits."""
+    """Name in a limits file."""
 
     compares: ClassVar[bool]
-    """Whether it compares models, and so needs two; the others look at the first one alone."""
+    """Whether it compares at least two models; other criteria use only the first model."""
 
     predicts: ClassVar[bool] = False
-    """Whether it needs to know what is to be predicted: `FittedCandidate.targets`."""
+    """Whether it needs outputs to predict: `FittedCandidate.targets`."""
 
     called: ClassVar[str]
-    """What a table calls its value, with the unit."""
+    """Name of its value in a table, with the unit."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -44,19 +44,19 @@ class DesignCriterion(ABC):
 
     @abstractmethod
     def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
-        """Return the worth of an experiment; more is better.
+        """Return the value of an experiment; a larger value is better.
 
         Parameters
         ----------
         models, predicted
-            The models, and what each predicts of the experiment.
+            The models, and the prediction of each model for the experiment.
         parameters
             Labels of the unknowns of the first model that count.
         """
 
 
 class DOptimality(DesignCriterion):
-    """How many times smaller the confidence region of the parameters gets, as a logarithm.
+    """Factor by which the confidence region of the parameters shrinks, as a logarithm.
 
     Half the difference of the log determinants of their covariance before and after: A. C.
     Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS (2007), chapter 11.
@@ -78,8 +78,7 @@ def covariances(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of some unknowns before and after an experiment.
 
-    Each (parameters, parameters), in search coordinates, with whatever else is unknown estimated
-    along.
+    Each is (parameters, parameters), in search coordinates; the other unknowns are estimated too.
     """
     before = fitted.covariance
     there = _places(fitted.labels, parameters)
@@ -99,11 +98,10 @@ def _places(labels: Sequence[str], wanted: Sequence[str]) -> IntArray:
 
 
 class AOptimality(DesignCriterion):
-    """How many times smaller the mean standard error gets, as a logarithm.
+    """Factor by which the mean standard error shrinks, as a logarithm.
 
-    The trace of the covariance, with each parameter in units of the standard error that it has
-    before: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS
-    (2007), chapter 10.
+    The trace of the covariance, with each parameter in units of its previous standard error: A. C.
+    Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
     """
 
     name: ClassVar[str] = "a"
@@ -117,12 +115,12 @@ class AOptimality(DesignCriterion):
 
 
 class VOptimality(DesignCriterion):
-    """How many times smaller the standard deviation of predictions gets, as a logarithm.
+    """Factor by which the standard deviation of predictions shrinks, as a logarithm.
 
-    The variance that the parameters give an output, j' C j with j its derivatives and C their
-    covariance, as a mean over its samples and over what it is before, as a mean over the outputs:
-    A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS (2007),
-    chapter 10 (V-optimality; with an integral in place of the samples I-optimality).
+    The parameters give an output the variance j' C j, with its derivatives j and their covariance
+    C. This is averaged over the samples, divided by its previous value, and averaged over the
+    outputs: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS
+    (2007), chapter 10 (V-optimality; with an integral instead of the samples I-optimality).
     """
 
     name: ClassVar[str] = "v"
@@ -132,7 +130,7 @@ class VOptimality(DesignCriterion):
 
     @override
     def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
-        del parameters  # all of them make what is predicted uncertain
+        del parameters  # all parameters contribute to the uncertainty of a prediction
         before, after = prediction_variances(models[0], predicted[0])
         return -0.5 * float(np.log(np.mean(after / before)))
 
@@ -150,25 +148,27 @@ def prediction_variances(
 
 
 class Discrimination(DesignCriterion):
-    """The probability of the true model after the experiment, as a mean over the models.
+    """The expected probability of the true model after the experiment, averaged over the models.
 
-    Each is as likely to be the true one as the data so far say. As probabilities of structures
-    are, it is made of evidence divided by `CRITERION_SCALE`, for no model is exact. A rival that no
-    input can tell apart, such as one that holds the true model as a special case, takes the same
-    from every experiment; one that is ruled out already adds nothing.
+    Each model is true with its current probability. Like the probabilities of structures, it is
+    computed from evidence divided by `CRITERION_SCALE`, because no model is exact. Some rivals
+    cannot be distinguished by any input, for example a rival that contains the true model as a
+    special case. Such a rival reduces the value of every experiment equally. A rival that is
+    already excluded has no influence.
 
-    With the outputs y of a model i distributed as N(f_i, S_i), S_i the noise and what the
-    uncertainty of its parameters adds, a rival j that is fitted again to all data leaves a sum of
-    squares of (y - f_j)' S_j^-1 (y - f_j) more. If i is the true one, the log likelihood of j is
-    expected to fall behind by
+    Let the outputs y of a model i be distributed as N(f_i, S_i). S_i contains the noise and the
+    uncertainty of its parameters. A rival j that is refitted to all data increases its sum of
+    squares by (y - f_j)' S_j^-1 (y - f_j). If i is true, the log likelihood of j is expected to be
+    lower by
 
         E_ij = (d' S_j^-1 d + tr(S_j^-1 S_i) - n) / 2,    d = f_i - f_j,
 
     which is T-optimality (A. C. Atkinson, V. V. Fedorov, Biometrika 62 (1975) 57-70,
-    doi:10.1093/biomet/62.1.57) with what earlier data say of the parameters. Its exponential is how
-    many times less likely j will be. The determinants that a marginal likelihood has besides
-    (G. E. P. Box, W. J. Hill, Technometrics 9 (1967) 57-71, doi:10.1080/00401706.1967.10490441) are
-    left out: where nothing is known of a parameter they would count as evidence.
+    doi:10.1093/biomet/62.1.57) including the information of earlier data on the parameters. Its
+    exponential is the factor by which j becomes less likely. The determinants of a marginal
+    likelihood (G. E. P. Box, W. J. Hill, Technometrics 9 (1967) 57-71,
+    doi:10.1080/00401706.1967.10490441) are omitted, because they would count as evidence if nothing
+    is known about a parameter.
     """
 
     name: ClassVar[str] = "discriminate"
@@ -177,21 +177,21 @@ class Discrimination(DesignCriterion):
 
     @override
     def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
-        del parameters  # all models count as they are
+        del parameters  # all models count equally
         weights = np.array([fitted.model.weight for fitted in models])
         expected = expected_probabilities(evidence_table(predicted), weights)
         return float(np.average(expected, weights=weights))
 
 
 def expected_probabilities(evidence: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the probability of each model after an experiment, if it is the true one.
+    """Return the probability of each model after an experiment, if it is the true model.
 
     Parameters
     ----------
     evidence : (true model, rival)
         Expected differences of log likelihoods.
     weights : (models,)
-        Probabilities before.
+        Probabilities before the experiment.
     """
     rivals = weights * np.exp(-np.maximum(evidence, 0.0) / CRITERION_SCALE)
     np.fill_diagonal(rivals, weights)
@@ -199,7 +199,7 @@ def expected_probabilities(evidence: FloatArray, weights: FloatArray) -> FloatAr
 
 
 def evidence_table(predicted: Predictions) -> FloatArray:
-    """Return (true model, rival): the evidence that an experiment is expected to give."""
+    """Return the expected evidence of an experiment, (true model, rival)."""
     outputs = [each.outputs for each in predicted]
     factors = [each.factor for each in predicted]
     found = np.zeros((len(predicted), len(predicted)))
@@ -215,7 +215,7 @@ def evidence_table(predicted: Predictions) -> FloatArray:
 
 
 class _NoiseCovariance:
-    """S = 1 + F F', of many samples and few unknowns (M. A. Woodbury's formula)."""
+    """S = 1 + F F' for many samples and few unknowns (M. A. Woodbury's formula)."""
 
     def __init__(self, factor: FloatArray) -> None:
         self._factor = factor
@@ -227,7 +227,7 @@ class _NoiseCovariance:
         return np.asarray(vector - self._factor @ inner)
 
     def trace_of_inverse_with(self, other: FloatArray) -> float:
-        """Return tr(S^-1 (1 + G G')) of another factor G."""
+        """Return tr(S^-1 (1 + G G')) for another factor G."""
         own, cross = self._factor.T @ self._factor, self._factor.T @ other
         of_identity = len(self._factor) - float(np.trace(np.linalg.solve(self._inner, own)))
         of_other = float(np.sum(other**2))

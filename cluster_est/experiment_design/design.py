@@ -1,10 +1,10 @@
-"""The recipe of a design: fit the models, draw inputs, simulate them, refit to the best, keep one.
+"""Design of an experiment: fit the models, draw and simulate inputs, refit to the best, select one.
 
-A search picks the input of which it expects the most, and so those of which it expects too much,
-where outputs are no straight functions of the parameters. So the leading inputs are looked at once
-more before one is chosen: the outputs that one model predicts take the place of measurements, and
-each other model is fitted to them and to the earlier experiments. By how much its sum of squares
-grows is twice the evidence.
+A search selects the inputs with the largest expected value. If outputs are nonlinear in the
+parameters, the expectation is too high for some of them. So the leading inputs are checked before
+one is selected. The outputs predicted by one model replace measurements, and each other model is
+fitted to them and to the earlier experiments. The increase of its sum of squares is twice the
+evidence.
 
 References: A. C. Atkinson, V. V. Fedorov, Biometrika 62 (1975) 57-70,
 doi:10.1093/biomet/62.1.57; A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental
@@ -66,11 +66,11 @@ if TYPE_CHECKING:
 
 REFIT = LeastSquares(trials=1, max_iterations=10, ftol=1e-5, xtol=1e-5, differences="forward")
 MOST_REPEATED_INPUTS = 3
-"""Inputs that are looked at once more, at most."""
+"""Largest number of inputs that are checked by refits."""
 CONFIRMED = 0.02
-"""Amount by which the expected probability may be lower than it seemed."""
+"""Amount by which the expected probability may be lower than before the refits."""
 ALLOWED_EXCURSION = 0.5
-"""Share of an output's range by which an experiment may leave it where no limits are given."""
+"""Share of an output's range by which an experiment may leave it without given limits."""
 UNCONFIRMED = (
     "the budget was too small to fit the rivals to the predictions for the best input; the "
     "expected values are therefore estimates from derivatives, and may be too high"
@@ -88,27 +88,28 @@ def design(
     callback: Callback | None = None,
     record: Record | None = None,
 ) -> DesignResult:
-    """Choose the next experiment: the input that tells most, within limits.
+    """Choose the next experiment: the most informative input within limits.
 
     Parameters
     ----------
     result
-        Of a fit or of a closed loop. The effects of a loop have rivals, which are told apart.
+        Result of a fit or of a closed loop. For a loop, the design discriminates between rivals of
+        its effects.
     limits
-        Of the experiment.
+        Limits of the experiment.
     resources
-        Where simulations run, and the budget.
+        Executor of the simulations, and the budget.
     settings
-        What the experiment is chosen for, and how hard it is searched for.
+        Purpose of the experiment, and effort of the search.
     seed
-        Starts the random generator; the result is the same for any number of workers.
+        Seed of the random generator; the result is the same for any number of workers.
     progress, callback, record
         As for `fit`.
 
     Raises
     ------
     ClusterEstError
-        If limits, models and machine do not fit together, or no input keeps the limits.
+        If limits, models and machine do not fit together, or no input satisfies the limits.
     """
     settings, limits = DesignSettings.of(settings), ExperimentLimits.of(limits)
     check_number(seed, "design.seed", ProblemError, least=0, whole=True)
@@ -119,7 +120,7 @@ def design(
 
 @dataclass(frozen=True)
 class Design(Study[DesignResult]):
-    """The choice of the next experiment; `request` says of which models, within which limits."""
+    """The choice of the next experiment for a `request`, which contains models and limits."""
 
     request: DesignRequest
 
@@ -133,12 +134,12 @@ class Design(Study[DesignResult]):
 
 
 def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignResult:
-    """Choose the next experiment with workers and a budget that somebody else has chosen.
+    """Choose the next experiment with the workers and the budget of an environment.
 
     Raises
     ------
     ClusterEstError
-        If limits, models and machine do not fit together, or no input keeps the limits.
+        If limits, models and machine do not fit together, or no input satisfies the limits.
     """
     begin = time.monotonic()
     check_design(request)
@@ -182,7 +183,7 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
 
 
 def candidate_maker(request: DesignRequest, noise: NoiseOfOutputs) -> CandidateMaker:
-    """Return what makes experiments, with as much noise as the fit has found."""
+    """Return the maker of experiments, with the noise found by the fit."""
     problem, like = request.problem, request.like
     sigmas = {
         output.variable: noise.over_sigma(output.variable) * usual_sigma(problem, output.variable)
@@ -204,16 +205,16 @@ def candidate_maker(request: DesignRequest, noise: NoiseOfOutputs) -> CandidateM
 
 
 def usual_sigma(problem: Problem, output: str) -> float:
-    """Return the median over the training experiments of an output's sigma."""
+    """Return the median of an output's sigma over the training experiments."""
     runs = [problem.experiments[e] for e in problem.indices("train")]
     own = [o for run in runs for o in run.outputs if o.variable == output and len(o.times)]
     return float(np.median([np.sqrt(np.mean(o.sigmas**2)) for o in own])) if own else 1.0
 
 
 def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLimits]:
-    """Return the range of each output over all experiments, and half as much on either side.
+    """Return the range of each output over all experiments, extended by half of it on either side.
 
-    Further out nobody knows whether a model holds, nor whether the plant does.
+    Outside this range, neither the model nor the plant is known to be valid.
     """
     found = {}
     for name in outputs:
@@ -229,7 +230,7 @@ def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLim
 def recorded_candidates(
     request: DesignRequest, maker: CandidateMaker
 ) -> tuple[CandidateInput, ...]:
-    """Return the inputs of the run's experiments that keep the limits, where they may be chosen."""
+    """Return the inputs of the run's experiments that satisfy the limits, if they may be chosen."""
     wanted = request.settings.waveforms
     if wanted and RECORDED not in wanted:
         return ()
@@ -245,14 +246,14 @@ def confirmed_choice(
 ) -> tuple[ScoredCandidate, FloatArray]:
     """Return the best input by refits, and its evidence, (true model, rival).
 
-    The next best is looked at where one falls behind what it promised.
+    If the value of an input is lower than expected, the next best input is checked too.
 
     Parameters
     ----------
     queue, models, noise
-        Where models are fitted, which, and with what noise.
+        Queue of the fits, the models, and the noise.
     ranked
-        Inputs that have been scored, the best first; at least one.
+        Scored inputs, the best first; at least one.
     """
     weights = np.array([fitted.model.weight for fitted in models])
     best: tuple[float, ScoredCandidate, FloatArray] | None = None
@@ -275,7 +276,7 @@ def refitted_evidence(
 ) -> FloatArray:
     """Return the evidence of one input for each model against each rival, by refits.
 
-    Where a rival cannot be fitted it is what derivatives say.
+    If a rival cannot be fitted, its evidence is computed from derivatives.
     """
     count = len(models)
     found = np.zeros((count, count))
@@ -305,7 +306,7 @@ def refitted_evidence(
 
 
 def _weighted(fitted: FittedCandidate, noise: NoiseOfOutputs) -> tuple[Experiment, ...]:
-    """The training experiments, whose sigmas are those of the noise that is reckoned with."""
+    """Return the training experiments with the assumed noise as sigmas."""
     problem = fitted.model.problem
     return tuple(
         replace(
@@ -323,7 +324,7 @@ def _with_noise(output: Output, noise: NoiseOfOutputs) -> Output:
 
 
 def _as_measured(scored: ScoredCandidate, model: int) -> Experiment:
-    """The experiment, with what a model predicts in the place of measurements."""
+    """Return the experiment with a model's prediction instead of measurements."""
     experiment, outputs = scored.candidate.experiment, []
     first = 0
     for output in experiment.outputs:

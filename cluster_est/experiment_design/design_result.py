@@ -1,4 +1,4 @@
-"""The result of a design: the input, and what the experiment is expected to tell."""
+"""The result of a design: the input, and the expected information of the experiment."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from workers.messages.types import by_content
 
 
 def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> pa.Table:
-    """What each model predicts of each output, with the error that its parameters make of it."""
+    """Return each model's prediction of each output, with the error due to its parameters."""
     experiment = best.candidate.experiment
     columns: dict[str, list[Any]] = {
         name: [] for name in ("model", "output", "time", "expected", "std_error")
@@ -78,7 +78,7 @@ def expected_evidence(
 ) -> tuple[ExpectedEvidence, ...]:
     """Return the evidence for every pair of models; empty for a single model.
 
-    `own` is that of the chosen input, (true model, rival).
+    `own` is the evidence of the chosen input, (true model, rival).
     """
     if len(scorer.models) < 2:
         return ()
@@ -100,7 +100,7 @@ def expected_evidence(
 def expected_probability(
     scorer: CandidateScorer, found: Sequence[ScoredCandidate], own: FloatArray
 ) -> tuple[ExpectedProbability, ...]:
-    """Return the probability of every model, if it is right; empty for a single model."""
+    """Return the probability of every model, if it is true; empty for a single model."""
     if len(scorer.models) < 2:
         return ()
     weights = np.array([fitted.model.weight for fitted in scorer.models])
@@ -175,7 +175,7 @@ def expected_predictions(
 def _compared(
     found: Sequence[ScoredCandidate], measure: Callable[[ScoredCandidate], FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """A measure of the median random input, and of the best recorded one; NaN without any."""
+    """Return a measure of the median random input and of the best recorded one; NaN without any."""
     nothing = np.full(measure(ranked(found)[0]).shape, np.nan)
     random = ranked(
         [each for each in found if each.candidate.origin in (RANDOM, SMALLER_AMPLITUDES)]
@@ -195,29 +195,29 @@ class DesignResult:
     Attributes
     ----------
     experiment
-        To be made: its inputs, and when its outputs are to be measured (their values are 0).
+        The experiment to make: its inputs, and the times of its outputs (their values are 0).
     designed, chosen_starts
-        Names of the inputs that were designed, and start values that were chosen.
+        Names of the designed inputs, and chosen start values.
     like
-        The experiment of the run that it begins like.
+        The experiment of the run whose start it has.
     chosen
-        The candidate that it is.
+        The chosen candidate.
     criterion
-        What it was chosen by, and what that is called.
+        The criterion, and the name of its value.
     candidates
-        All that were looked at.
+        All candidates.
     probabilities, evidence
         For every model, and every pair of models; empty for a single model.
     precision
         For every parameter that counts.
     predictions
-        For every output that is to be predicted; empty for other criteria than "v".
+        For every output to predict; empty for other criteria than "v".
     expected
-        What each model predicts of it: see `expected_table`.
+        Predictions of each model: see `expected_table`.
     remarks
-        Sentences on the fits that it rests on, and on the search.
+        Sentences on the fits on which it is based, and on the search.
     units
-        The FMU's units of its inputs, signals and outputs, where it names them.
+        The FMU's units of its inputs, signals and outputs, if declared.
     evaluations, simulated, failures, seconds
         Its cost.
     """
@@ -243,19 +243,19 @@ class DesignResult:
 
     @property
     def duration(self) -> float:
-        """Seconds that the experiment takes."""
+        """Duration of the experiment in seconds."""
         return self.experiment.stop - self.experiment.start
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """Names of its tables, those of a run folder's files."""
+        """Names of its tables, which are files of a run folder."""
         return (
             "candidates", "probabilities", "evidence", "precision", "prediction_precision",
             "next_input", "expected",
         )  # fmt: skip
 
     def table(self, name: str) -> pa.Table:
-        """One of `tables`.
+        """Return one of `tables`.
 
         Raises
         ------
@@ -283,9 +283,9 @@ class DesignResult:
         )
 
     def input_table(self) -> pa.Table:
-        """The time, a column for each input and signal, and an empty one for each output.
+        """Return the time, a column for each input and signal, and an empty one for each output.
 
-        It is what a config reads once the outputs have been measured.
+        A config reads this table when the outputs have been measured.
         """
         times = self.experiment.outputs[0].times
         columns: dict[str, Any] = {"time": pa.array(times)}
@@ -301,18 +301,18 @@ class DesignResult:
         Parameters
         ----------
         data
-            Path of the table, from the config's folder.
+            Path of the table, relative to the config's folder.
         """
         return experiment_block(self.experiment, data, Path(data).stem)
 
     @property
     def search_seconds(self) -> float:
-        """Seconds that its simulations took, with what was computed from them."""
+        """Duration of its simulations and of the computations from them, in seconds."""
         return self.seconds
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what the experiment is expected to tell, and on what that rests."""
+        """Sentences on the expected information of the experiment, and on its basis."""
         found = [self.summary]
         if self._discriminates:
             found += alike_sentences(self.evidence, len(self.candidates))
@@ -333,7 +333,7 @@ class DesignResult:
 
     @property
     def _repeated(self) -> list[str]:
-        """Say what is taken over from the experiment that it is like, and for how long."""
+        """Return what is repeated from the similar experiment, and for how long."""
         kept = [g.variable for g in self.experiment.inputs if g.variable not in self.designed]
         kept += [g.variable for g in self.experiment.signals]
         if not kept:
@@ -348,7 +348,7 @@ class DesignResult:
 
     @property
     def summary(self) -> str:
-        """What was chosen, and what it is expected to tell, in a sentence."""
+        """The chosen input and its expected information, in a sentence."""
         how = self.chosen.candidate
         called = how.name if how.origin == RECORDED else how.waveform
         made = f"{called}, {self.duration:.4g} s"
@@ -363,7 +363,7 @@ class DesignResult:
         return f"{made}: {narrowed_sentence(self.precision)}"
 
     def facts(self) -> Mapping[str, Any]:
-        """Return what run.json says of it, besides what the run's folder knows itself."""
+        """Return the contents of run.json for this result."""
         how = self.chosen.candidate
         return {
             "status": "done",
@@ -394,16 +394,16 @@ def make_result(
     chosen: tuple[ScoredCandidate, FloatArray],
     units: Mapping[str, str],
 ) -> DesignResult:
-    """Put what a search has found into words and tables; its cost is added by the caller.
+    """Return the result of a search as texts and tables; the caller adds its cost.
 
     Parameters
     ----------
     scorer, found, maker
-        What scored candidates, all of them, and what made them.
+        The scorer of candidates, all candidates, and their maker.
     chosen
-        The one that was chosen, and its evidence, (true model, rival).
+        The chosen candidate, and its evidence, (true model, rival).
     units
-        Of the FMU's variables, by name.
+        Units of the FMU's variables, by name.
     """
     best, evidence = chosen
     experiment = best.candidate.experiment
@@ -449,7 +449,7 @@ def _candidate_table(candidates: Sequence[ScoredCandidate], chosen: ScoredCandid
 
 
 def _rows(kind: type, rows: Sequence[Any]) -> pa.Table:
-    """A table with a row for each; without rows it has its columns all the same."""
+    """Return a table with a row for each object; without rows, it still has its columns."""
     if rows:
         return pa.Table.from_pylist([dataclasses.asdict(row) for row in rows])
     types = {"str": pa.string(), "float": pa.float64()}

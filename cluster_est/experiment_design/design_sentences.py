@@ -1,4 +1,4 @@
-"""What an experiment is expected to tell, in sentences."""
+"""Sentences on the expected information of an experiment."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from cluster_est.toml import inline
 from workers.messages import Experiment, Input
 
 TOLD_APART = 2.0
-"""Expected difference of log likelihoods below which nothing is told apart: a factor of 7."""
+"""Expected difference of log likelihoods required for discrimination: a factor of 7."""
 
 
 @dataclass(frozen=True)
 class ExpectedEvidence:
-    """What an experiment is expected to say for a model against a rival.
+    """The expected evidence of an experiment for a model against a rival.
 
     Attributes
     ----------
     true_model, rival
-        If the first is the true one.
+        The evidence applies if the first is true.
     evidence
         Expected difference of their log likelihoods.
     random, recorded
-        Expected difference for a random input within the same limits (the median of those that
-        were looked at) and for the best one of those that were recorded; NaN without any.
+        Expected difference for a random input within the same limits (the median of the tested
+        ones) and for the best recorded input; NaN without any.
     best
-        The largest that any input that was looked at is expected to give.
+        The largest expected difference of any tested input.
     """
 
     true_model: str
@@ -41,16 +41,16 @@ class ExpectedEvidence:
 
 @dataclass(frozen=True)
 class ExpectedProbability:
-    """The probability that a model is expected to have after an experiment, if it is true.
+    """The expected probability of a model after an experiment, if it is true.
 
     Attributes
     ----------
     model
-        Which.
+        Name of the model.
     before, after
-        So far, and with the experiment.
+        Probability now, and after the experiment.
     random, recorded
-        With a random input or a recorded one, see `ExpectedEvidence`.
+        With a random input or a recorded input, see `ExpectedEvidence`.
     """
 
     model: str
@@ -62,17 +62,17 @@ class ExpectedProbability:
 
 @dataclass(frozen=True)
 class ExpectedPredictionError:
-    """What an experiment is expected to do to a prediction.
+    """The expected influence of an experiment on a prediction.
 
     Attributes
     ----------
     experiment, output, unit
-        What is predicted.
+        The predicted output.
     std_error_before, std_error_after
-        The standard deviation that the parameters give it so far, and with the experiment: root
-        mean square over the samples, without the noise of a measurement.
+        Its standard deviation due to the parameters now, and after the experiment: root mean square
+        over the samples, without measurement noise.
     random, recorded
-        The standard deviation with a random input or a recorded one, see `ExpectedEvidence`.
+        The standard deviation with a random input or a recorded input, see `ExpectedEvidence`.
     """
 
     experiment: str
@@ -86,16 +86,16 @@ class ExpectedPredictionError:
 
 @dataclass(frozen=True)
 class ExpectedPrecision:
-    """What an experiment is expected to do to a parameter.
+    """The expected influence of an experiment on a parameter.
 
     Attributes
     ----------
     label, unit, value
         The parameter, and its estimate.
     std_error_before, std_error_after
-        Its standard error so far, and with the experiment.
+        Its standard error now, and after the experiment.
     random, recorded
-        Standard errors with a random input or a recorded one, see `ExpectedEvidence`.
+        Standard errors with a random input or a recorded input, see `ExpectedEvidence`.
     """
 
     label: str
@@ -108,15 +108,15 @@ class ExpectedPrecision:
 
 
 WORTH_SAYING = 0.1
-"""Rise of a probability that is worth a sentence."""
+"""Smallest increase of a probability that is mentioned."""
 NO_CHANGE = 0.995
-"""Ratio of a standard error after to before, from which on it counts as unchanged."""
+"""Ratio of the new to the old standard error above which it counts as unchanged."""
 LARGEST_LIKELIHOOD_RATIO = 1e6
-"""Likelihood ratio beyond which no number is said."""
+"""Likelihood ratio above which no number is given."""
 
 
 def times(evidence: float) -> str:
-    """Return how many times less likely evidence makes a rival: "40 times"."""
+    """Return the factor by which evidence makes a rival less likely, such as "40 times"."""
     if math.isnan(evidence):
         return "unknown"
     if evidence > math.log(LARGEST_LIKELIHOOD_RATIO):
@@ -132,7 +132,7 @@ def evidence_sentence(
     probabilities: Sequence[ExpectedProbability],
     looked_at: int,
 ) -> str:
-    """Say how clearly an experiment is expected to tell the first model from its nearest rival."""
+    """Return how clearly the experiment should distinguish the first model from its rival."""
     first = evidence[0].true_model
     own = [row for row in evidence if row.true_model == first and row.evidence >= TOLD_APART]
     if not own:
@@ -154,7 +154,7 @@ def evidence_sentence(
 
 
 def _of_others(probabilities: Sequence[ExpectedProbability]) -> str:
-    """Say which other model the experiment would make likely, if that is the right one."""
+    """Return which other model the experiment would make likely, if it is true."""
     most = max(probabilities[1:], key=lambda row: row.after - row.before)
     if most.after - most.before < WORTH_SAYING:
         return ""
@@ -165,7 +165,7 @@ def _of_others(probabilities: Sequence[ExpectedProbability]) -> str:
 
 
 def alike_sentences(evidence: Sequence[ExpectedEvidence], looked_at: int) -> list[str]:
-    """Name the rivals that the best input does not tell from the first model."""
+    """Return the rivals that the best input does not distinguish from the first model."""
     first = evidence[0].true_model
     alike = [r.rival for r in evidence if r.true_model == first and r.evidence < TOLD_APART]
     if not alike:
@@ -178,7 +178,7 @@ def alike_sentences(evidence: Sequence[ExpectedEvidence], looked_at: int) -> lis
 
 
 def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
-    """Say what an experiment is expected to do to the standard errors."""
+    """Return the expected change of the standard errors."""
 
     def share(name: str) -> float:
         ratios = [
@@ -199,7 +199,7 @@ def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
 
 
 def _beside(share: Callable[[str], float]) -> list[str]:
-    """Say what a random input and a recorded one are expected to do."""
+    """Return the expected changes with a random input and with a recorded one."""
     inputs = {
         "random": "with a random input within the same limits",
         "recorded": "with a repetition of a recorded input",
@@ -212,7 +212,7 @@ def _beside(share: Callable[[str], float]) -> list[str]:
 
 
 def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
-    """Say what an experiment is expected to do to predictions."""
+    """Return the expected change of predictions."""
 
     def share(name: str) -> float:
         squares = [(getattr(row, name) / row.std_error_before) ** 2 for row in rows]
@@ -232,7 +232,7 @@ def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
 
 
 TABLE, STEM = "TABLE.csv", "TABLE"
-"""What stands in run.json for the table and its name, which the run does not know."""
+"""Placeholders in run.json for the table and its name, which the run does not know."""
 
 
 def experiment_block(experiment: Experiment, data: str, name: str) -> str:
@@ -241,9 +241,9 @@ def experiment_block(experiment: Experiment, data: str, name: str) -> str:
     Parameters
     ----------
     experiment
-        With its inputs, and outputs that are to be measured.
+        The experiment with its inputs, and outputs to measure.
     data, name
-        Path of its table from the config's folder, and what it is called.
+        Path of its table relative to the config's folder, and the name of the experiment.
     """
     inputs = {given.variable: _column(given) for given in experiment.inputs}
     signals = {given.variable: _column(given) for given in experiment.signals}
@@ -262,7 +262,7 @@ def experiment_block(experiment: Experiment, data: str, name: str) -> str:
 
 
 def _column(given: Input) -> str | dict[str, str]:
-    """A column of an input as a config names it."""
+    """Return the column of an input in the notation of a config."""
     if given.interpolation == "linear":
         return given.variable
     return {"column": given.variable, "interpolation": given.interpolation}

@@ -1,4 +1,4 @@
-"""The search for an input: many at random, then changes of the best."""
+"""Search for an input: random candidates, then changes of the best."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from cluster_est.running.runner import Runner
 from workers.messages import FloatArray
 
 RANDOM_SHARE = 0.5
-"""Share of the candidates that are drawn at random; changes of the best are the others."""
+"""Share of random candidates; the others are changes of the best."""
 REFINEMENT_ROUNDS = ((0.2, 6), (0.1, 4), (0.05, 3))
-"""Of each round of changes: their size, and how many of the best candidates are changed."""
+"""Size of the changes in each round, and number of best candidates that are changed."""
 SHRINKING = (0.3, 0.1, 0.03)
-"""Amplitudes that are tried where no candidate keeps the limits."""
+"""Factors of the amplitudes to try if too few candidates satisfy the limits."""
 FEWEST_KEPT = 3
 
 
 @dataclass(frozen=True)
 class ScoredCandidate:
-    """A candidate and what it is worth.
+    """A candidate and its value.
 
     Attributes
     ----------
     candidate
-        Which.
+        The candidate.
     value
-        Of the criterion; NaN where it leaves its limits or cannot be simulated.
+        Value of the criterion; NaN if limits are violated or a simulation fails.
     violation
-        By how much it leaves them at the estimates; NaN where a simulation failed, or it does so
-        only with other parameters.
+        Largest violation of a limit at the estimates. NaN if a simulation failed, or if limits are
+        violated only with other parameters.
     why
-        What it leaves, or why it cannot be simulated; "" if neither.
+        The violated limit, or why it cannot be simulated; "" if neither.
     predicted
-        What each model predicts of it; empty where it has no value.
+        Prediction of each model; empty without a value.
     """
 
     candidate: CandidateInput
@@ -61,20 +61,20 @@ class ScoredCandidate:
 
     @property
     def evidence(self) -> FloatArray:
-        """What it is expected to say for each model against each rival, by derivatives."""
+        """The expected evidence for each model against each rival, from derivatives."""
         return evidence_table(self.predicted)
 
 
 @dataclass(frozen=True)
 class CandidateScorer:
-    """Simulates candidates and says what they are worth.
+    """Simulates candidates and computes their values.
 
     Attributes
     ----------
     models, criterion, parameters
         See `DesignCriterion.value`.
     queue
-        Where candidates are simulated.
+        Queue of the simulations.
     """
 
     models: Sequence[FittedCandidate]
@@ -83,7 +83,7 @@ class CandidateScorer:
     queue: DesignQueue
 
     def score(self, candidates: Sequence[CandidateInput]) -> list[ScoredCandidate]:
-        """Return what each candidate is worth, in their order."""
+        """Return the value of each candidate, in their order."""
         if not candidates:
             return []
         return self.queue.use(
@@ -112,14 +112,14 @@ class CandidateScorer:
 
 @dataclass(frozen=True)
 class SearchedCandidates:
-    """The candidates that a search has looked at.
+    """The candidates of a search.
 
     Attributes
     ----------
     scored
-        All of them, in their order.
+        All candidates, in their order.
     wanted
-        How many it should have looked at; more than these if the budget was used up.
+        Intended number of candidates, which is larger if the budget was used up.
     """
 
     scored: tuple[ScoredCandidate, ...]
@@ -133,29 +133,29 @@ def search(
     count: int,
     generator: np.random.Generator,
 ) -> SearchedCandidates:
-    """Look at some candidates, and say what each is worth.
+    """Return candidates with their values.
 
-    Half of them are drawn at random, beside what was recorded. Then the best are changed a little
-    at a time: an evolution strategy without recombination (H.-G. Beyer, H.-P. Schwefel, Nat.
-    Comput. 1 (2002) 3-52, doi:10.1023/A:1015059928466).
+    Half of them are random, in addition to the recorded inputs. Then the best are changed slightly
+    in several rounds. This is an evolution strategy without recombination (H.-G. Beyer, H.-P.
+    Schwefel, Nat. Comput. 1 (2002) 3-52, doi:10.1023/A:1015059928466).
 
     Parameters
     ----------
     scorer, maker
-        Say what candidates are worth, and make them.
+        Compute values of candidates, and make them.
     recorded
         Candidates with the inputs of earlier experiments.
     count
-        Candidates besides these.
+        Number of other candidates.
     generator
-        Of all that is random.
+        The random generator.
 
     Raises
     ------
     ProblemError
-        If none keeps its limits.
+        If no candidate satisfies its limits.
     BudgetError
-        If the budget is used up before one has been scored.
+        If the budget is used up before the first candidate has a value.
     """
     first = max(1, round(RANDOM_SHARE * count)) if maker.waveforms else 0
     drawn = [maker.draw(number, generator) for number in range(first)]
@@ -183,7 +183,7 @@ def _improved(
     how: tuple[float, int, int],
     generator: np.random.Generator,
 ) -> list[ScoredCandidate]:
-    """Changes of the best so far; `how` is their size, of how many, and how many changes."""
+    """Return changes of the best; `how` is their size, number of parents, and number of changes."""
     size, parents, most = how
     best = [each for each in ranked(found) if len(each.candidate.point)][:parents]
     if not best:
@@ -197,7 +197,7 @@ def _improved(
 
 
 def ranked(scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
-    """Return those with a value, the best first."""
+    """Return the candidates with a value, the best first."""
     return sorted((each for each in scored if each.ok), key=lambda each: -each.value)
 
 
@@ -207,7 +207,7 @@ def _shrunk(
     found: Sequence[ScoredCandidate],
     number: int,
 ) -> list[ScoredCandidate]:
-    """Smaller candidates, where hardly any keeps the limits."""
+    """Return candidates with smaller amplitudes, if too few satisfy the limits."""
     more: list[ScoredCandidate] = []
     large = [each.candidate for each in found if len(each.candidate.point)]
     for factor in SHRINKING if maker.limits.inputs else ():
@@ -221,7 +221,7 @@ def _shrunk(
 
 
 def none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
-    """Say that no input keeps its limits, and how far the closest is off."""
+    """Return an error that no input satisfies its limits, with the smallest violation."""
     if not found:
         return ProblemError(
             "waveforms: must leave an input to try, but no recorded input of the run respects the "

@@ -1,4 +1,4 @@
-"""Limits of the next experiment: what may be fed in, and what must not be left."""
+"""Limits of the next experiment: of its inputs, and of other variables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_SAMPLES = 200_000
 
 
 def _pair(value: object) -> object:
-    """One number is short for a range of that number alone."""
+    """Return a range; one number is short for a range with both ends equal."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return [value, value] if number else value
 
@@ -96,7 +96,7 @@ class ExperimentLimits(Settings):
 
     @model_validator(mode="after")
     def _check_limits(self) -> Self:
-        """Refuse what no experiment can keep."""
+        """Refuse limits that no experiment can satisfy."""
         self._check_times()
         for name, given in self.inputs.items():
             _check_range(given, f"inputs.{name}")

@@ -1,4 +1,4 @@
-"""The models that a design reckons with: estimates, their covariance, and the noise."""
+"""The models of a design: estimates, their covariance, and the noise."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from workers.messages import FloatArray
 
 SETTLE = LeastSquares(trials=1, max_iterations=30, ftol=1e-8, xtol=1e-6, differences="central")
 DEVIATION_OF_UNDETERMINED = 10.0
-"""Ranges between bounds, or noticeable changes, that are an unknown's standard deviation where
-nothing is known of it: so wide that what the data say is not changed by it."""
+"""Standard deviation of an unknown about which nothing is known, in ranges between its bounds or
+noticeable changes. It is so large that it does not influence the information of the data."""
 DEVIATION_AT_BOUND = 1e-6
-"""Ranges between bounds, or noticeable changes, that are the standard deviation of an unknown at a
-bound, which a fit holds there."""
+"""Standard deviation of an unknown that a fit holds at a bound, in ranges between its bounds or
+noticeable changes."""
 MOVED = 0.5
-"""Share of its standard error by which a refit may move an estimate without saying so."""
+"""Largest change of an estimate by a refit without a message, as a share of its standard error."""
 
 
 @dataclass(frozen=True)
 class CandidateModel:
-    """A model that may be the true one, before its estimates are known in detail.
+    """A model that may be true, before it is refitted.
 
     Attributes
     ----------
     name
-        Labels of its effects, or what a sentence calls it.
+        Labels of its effects, or its name in sentences.
     problem
-        With its effects, and the experiments that it was fitted to.
+        The problem with its effects, and the experiments to which it was fitted.
     values
         Estimates by label, from which a fit starts.
     weight
-        Probability that it is the true one, as far as the data say.
+        Probability that it is the true model, according to the data.
     """
 
     name: str
@@ -54,14 +54,14 @@ class CandidateModel:
 
 @dataclass(frozen=True)
 class PredictedOutput:
-    """An output whose prediction is to become certain.
+    """An output whose prediction should become accurate.
 
     Attributes
     ----------
     experiment, output, unit
-        Which.
+        The output.
     jacobian : (samples, unknowns)
-        Derivatives of what the model predicts by its unknowns, in search coordinates.
+        Derivatives of the model's prediction by its unknowns, in search coordinates.
     """
 
     experiment: str
@@ -82,7 +82,7 @@ class FittedCandidate:
     Attributes
     ----------
     model
-        Which.
+        The model.
     space, x
         Its unknowns on the training experiments, and the estimates in search coordinates.
     information : (unknowns, unknowns)
@@ -90,11 +90,11 @@ class FittedCandidate:
     squares
         Sum of the squared residuals, over the variance of the noise.
     held
-        Labels of the unknowns that stand at a bound.
+        Labels of the unknowns that are at a bound.
     notes
-        Sentences on what the fit here made of the run's estimates.
+        Sentences on differences between this fit and the run's estimates.
     targets
-        What is to be predicted with it.
+        Outputs to predict.
     """
 
     model: CandidateModel
@@ -112,14 +112,15 @@ class FittedCandidate:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the estimates, (unknowns, unknowns)."""
+        """Covariance of the estimates, (unknowns, unknowns)."""
         return inverse(self.information)
 
     def prior_information(self, space: SearchSpace) -> FloatArray:
-        """What the data so far say of the unknowns of a new experiment, (unknowns, unknowns).
+        """Return the information of the data on the unknowns of a new experiment.
 
-        What it shares with earlier ones is known from those, the rest marginalised. What is its own
-        is known as little as before any experiment.
+        The result is (unknowns, unknowns). Unknowns shared with earlier experiments have the
+        marginal information of these. Other unknowns have the information that they have before any
+        experiment.
         """
         places = {label: i for i, label in enumerate(self.labels)}
         shared = [i for i, u in enumerate(space.unknowns) if u.label in places]
@@ -132,22 +133,22 @@ class FittedCandidate:
 
 @dataclass(frozen=True)
 class NoiseOfOutputs:
-    """The noise that a new experiment will have.
+    """The noise of a new experiment.
 
     Attributes
     ----------
     sizes
-        Standard deviation by output, over its sigma: what the first model leaves.
+        Standard deviation of the first model's residuals by output, over its sigma.
     inflation
-        Factor by which standard errors are larger than if the noise were white, as the fit's own
-        intervals have it; 1 where it is white. All noise is taken for that much larger.
+        Factor by which standard errors are larger than for white noise, as in the fit's own
+        intervals; 1 for white noise. All noise is multiplied by it.
     """
 
     sizes: Mapping[str, float]
     inflation: float
 
     def over_sigma(self, output: str) -> float:
-        """The standard deviation that an output's noise is reckoned with, over its sigma."""
+        """Return the assumed standard deviation of an output's noise, over its sigma."""
         return max(self.sizes.get(output, 1.0) * self.inflation, 1e-12)
 
 
@@ -161,21 +162,21 @@ def fit_candidates(
     runner
         Its executor has the models' experiments.
     models
-        What to fit.
+        The models to fit.
     seed
-        Of the fits.
+        Seed of the fits.
 
     Returns
     -------
     list of FittedCandidate
         In the order of the models.
     NoiseOfOutputs
-        From what the first model leaves.
+        Noise estimated from the residuals of the first model.
 
     Raises
     ------
     ProblemError
-        If one cannot be simulated.
+        If a model cannot be simulated.
     """
     spaces = [make_space(m.problem, m.problem.indices("train"), starts=m.values) for m in models]
     requests = [SearchRequest("models", SETTLE, space, seed) for space in spaces]
@@ -200,7 +201,7 @@ def fit_candidates(
 
 
 def _sizes(space: SearchSpace, solution: Solution) -> dict[str, float]:
-    """Root mean square of each output's residuals, which are in units of its sigma."""
+    """Return the root mean square of each output's residuals, which are in units of its sigma."""
     assert solution.at is not None
     residuals = solution.at.residuals
     freedom = len(residuals) / max(len(residuals) - space.size, 1)
@@ -215,7 +216,7 @@ def _sizes(space: SearchSpace, solution: Solution) -> dict[str, float]:
 
 
 def _rows(space: SearchSpace) -> Iterator[tuple[str, slice]]:
-    """The rows of each output of each experiment; those of priors stand behind them."""
+    """Yield the rows of each output of each experiment; rows of priors follow them."""
     for e, rows in zip(space.experiments, space.rows, strict=True):
         first = rows.start
         for output in space.problem.experiments[e].outputs:
@@ -224,7 +225,7 @@ def _rows(space: SearchSpace) -> Iterator[tuple[str, slice]]:
 
 
 def widths(space: SearchSpace) -> FloatArray:
-    """Standard deviation of each unknown before any data: many ranges, or noticeable changes."""
+    """Return the prior standard deviation of each unknown: many ranges, or noticeable changes."""
     span = space.upper - space.lower
     bounded = np.isfinite(span) & (span > 0.0)
     size = np.maximum(space.typical, np.abs(space.start))
@@ -255,7 +256,7 @@ def _fitted(
 
 
 def _notes(found: FittedCandidate, solution: Solution) -> Iterator[str]:
-    """Say where the fit here is not that of the run."""
+    """Yield differences between this fit and that of the run."""
     name = found.model.name
     if not solution.ending.success:
         yield f"the fit of {name} for the design did not converge ({solution.ending})"

@@ -1,4 +1,4 @@
-"""What models predict of candidates: outputs and their derivatives, simulated on the queue."""
+"""Predictions of models for candidates: outputs and their derivatives, simulated on the queue."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ StepResult = TypeVar("StepResult")
 
 
 class DesignQueue:
-    """Opens workers for the experiments of each step, and counts what they simulate.
+    """Opens workers for the experiments of each step, and counts simulations.
 
     Parameters
     ----------
     environment
-        Workers, budget, and who is told.
+        Workers, budget and callbacks.
     problem
-        Whose model is simulated.
+        The problem whose model is simulated.
     """
 
     def __init__(self, environment: RunEnvironment, problem: Problem) -> None:
@@ -45,7 +45,7 @@ class DesignQueue:
     def use(
         self, experiments: Sequence[Experiment], phase: str, step: Callable[[Runner], StepResult]
     ) -> StepResult:
-        """Do a step with a runner whose executor has these experiments.
+        """Perform a step with a runner whose executor has these experiments.
 
         Raises
         ------
@@ -66,27 +66,27 @@ class DesignQueue:
 
 
 FLAT = 1e-9
-"""Singular value of the moves of all unknowns, in units of their sizes, that counts as 0."""
+"""Singular value of the changes of all unknowns, in units of their sizes, that counts as 0."""
 BROKEN = "the simulations for the derivatives failed"
 LONGEST_DIFFERENCE = 0.1
-"""Largest step of a difference, as a share of an unknown, or of a noticeable change of it where
-that is more."""
+"""Largest step of a difference, as a share of an unknown, or of a noticeable change if that is
+larger."""
 
 
 @dataclass(frozen=True)
 class PredictedExperiment:
-    """What one model predicts of one candidate, in standard deviations of the noise.
+    """The prediction of one model for one candidate, in standard deviations of the noise.
 
     Attributes
     ----------
     outputs : (samples,)
         Output after output.
     jacobian : (samples, unknowns)
-        Their derivatives by the unknowns, in search coordinates.
+        Derivatives of the outputs by the unknowns, in search coordinates.
     information : (unknowns, unknowns)
-        What is known of the unknowns before the experiment.
+        Information on the unknowns before the experiment.
     labels
-        Of the unknowns.
+        Labels of the unknowns.
     """
 
     outputs: FloatArray
@@ -96,7 +96,7 @@ class PredictedExperiment:
 
     @property
     def factor(self) -> FloatArray:
-        """L with L L' the covariance that the unknowns give the outputs, (samples, unknowns)."""
+        """L with L L' the covariance of the outputs due to the unknowns, (samples, unknowns)."""
         return np.asarray(self.jacobian @ root_of_inverse(self.information))
 
     @property
@@ -108,20 +108,20 @@ class PredictedExperiment:
 def keeping_limits(
     runner: Runner, fitted: Sequence[FittedCandidate], candidates: Sequence[CandidateInput]
 ) -> list[tuple[float, str]]:
-    """Return by how much each candidate leaves its limits with any model, and which.
+    """Return the largest violation of limits by each candidate with any model, and the limit.
 
     Parameters
     ----------
     runner
         Its executor has the candidates' experiments, in their order.
     fitted, candidates
-        Models and candidates, each simulated with each.
+        Models and candidates; each candidate is simulated with each model.
 
     Returns
     -------
     list of tuple
-        The largest violation, in the range of the limits, 0 for what keeps them and infinite where
-        a simulation failed; and what is violated, or why it failed.
+        The largest violation, in the range of the limits, 0 if there is none and infinite if a
+        simulation failed; and the violated limit, or the reason of the failure.
     """
     everything = range(len(candidates))
     spaces = [candidate_spaces(model, candidates, everything) for model in fitted]
@@ -156,12 +156,13 @@ def predictions(
     candidates: Sequence[CandidateInput],
     chosen: Sequence[int],
 ) -> list[tuple[PredictedExperiment, ...] | str]:
-    """Return what each model predicts of each chosen candidate, or why one cannot say.
+    """Return the prediction of each model for each chosen candidate, or why it is missing.
 
     Derivatives are differences over a standard deviation of the estimates to either side, as in an
     unscented transform (S. J. Julier, J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422,
-    doi:10.1109/JPROC.2003.823141): where a mass sticks or a valve closes, what a small change does
-    says nothing of a likely one. What leaves its limits there is put aside too.
+    doi:10.1109/JPROC.2003.823141). If a mass sticks or a valve closes, a small change does not show
+    the influence of a probable change. A candidate that violates its limits at these points is
+    rejected.
 
     Parameters
     ----------
@@ -170,7 +171,7 @@ def predictions(
     fitted, candidates
         Models, and all candidates.
     chosen
-        Numbers of those that are predicted.
+        Numbers of the candidates to predict.
     """
     each = [candidate_spaces(model, candidates, chosen) for model in fitted]
     pairs = [
@@ -199,20 +200,20 @@ def predictions(
 def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
     """Return the estimates, and points a standard deviation to either side along each axis.
 
-    The axes are those of a root of the covariance; steps are no longer than noticeable changes
-    where little is known.
+    The axes are those of a root of the covariance. If little is known, steps are limited by
+    noticeable changes.
 
     Parameters
     ----------
     space
-        Its start are the estimates.
+        Its start values are the estimates.
     information : (unknowns, unknowns)
-        What is known of them.
+        Information on the unknowns.
 
     Returns
     -------
     (1 + 2 unknowns, unknowns)
-        Within the bounds.
+        Points within the bounds.
     """
     steps = root_of_inverse(information).T
     most = LONGEST_DIFFERENCE * np.maximum(space.typical, np.abs(space.start))
@@ -223,7 +224,7 @@ def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
 
 
 def _derivatives(moves: FloatArray, changes: FloatArray) -> FloatArray | None:
-    """(samples, unknowns): J with moves J' = changes; None where the moves do not span all."""
+    """Return J with moves J' = changes, (samples, unknowns); None for rank deficient moves."""
     sizes = np.abs(moves).max(axis=0)
     scaled = moves / np.where(sizes > 0.0, sizes, 1.0)
     lengths = np.linalg.norm(scaled, axis=1)
@@ -241,16 +242,16 @@ def predicted_experiment(
     points: FloatArray,
     evaluations: Sequence[Evaluation],
 ) -> PredictedExperiment | str:
-    """Return the prediction of sigma points, or the reason why it is missing.
+    """Return the prediction from sigma points, or the reason why it is missing.
 
-    Derivatives are one-sided where one of two points could not be simulated.
+    Derivatives are one-sided if one of two points could not be simulated.
 
     Parameters
     ----------
     model, space
         The model, and its unknowns in the experiment.
     points, evaluations
-        See `sigma_points`; the first was simulated.
+        See `sigma_points`; the first point was simulated.
     """
     count = space.size
     leaving = [at for at in evaluations if at.ok and at.violation > TOLERANCE]
@@ -279,9 +280,9 @@ def predicted_experiment(
 def candidate_spaces(
     fitted: FittedCandidate, candidates: Sequence[CandidateInput], chosen: Sequence[int]
 ) -> list[SearchSpace]:
-    """Return the unknowns of a model in each of some candidates, at its estimates.
+    """Return the unknowns of a model in each chosen candidate, at its estimates.
 
-    What a new experiment has of its own starts from the mean of what the earlier ones had.
+    Unknowns of a new experiment alone start from the mean of those of the earlier experiments.
     """
     problem = replace(
         without_priors(fitted.model.problem),
@@ -296,9 +297,9 @@ def candidate_spaces(
 
 
 def own_starts(fitted: FittedCandidate, experiment: str) -> dict[str, float]:
-    """Return the estimates by label, with starts of what a new experiment has of its own.
+    """Return the estimates by label, with starts for the unknowns of a new experiment alone.
 
-    These are the means of what the earlier ones had.
+    These are the means of the estimates for the earlier experiments.
     """
     values = fitted.space.estimates(fitted.x)
     own: dict[str, list[float]] = {}
@@ -314,26 +315,26 @@ def with_predictions(
     experiments: Sequence[Experiment],
     units: Mapping[str, str],
 ) -> FittedCandidate:
-    """Return a model that knows what it predicts of some experiments.
+    """Return a model with its predictions for some experiments.
 
-    Derivatives are differences over a standard deviation of the estimates to either side, as those
-    of candidates. What only such an experiment has of its own, such as its initial state, is held.
+    As for candidates, derivatives are differences over a standard deviation of the estimates to
+    either side. Unknowns of such an experiment alone, such as its initial state, are held.
 
     Parameters
     ----------
     queue
-        Where they are simulated.
+        Queue of the simulations.
     fitted
         The model, at its estimates.
     experiments
-        Whose outputs are predicted, see `target_experiments`.
+        Experiments with the outputs to predict, see `target_experiments`.
     units
-        Of the outputs, by name.
+        Units of the outputs, by name.
 
     Raises
     ------
     ProblemError
-        If one cannot be simulated, or nothing that is predicted depends on an unknown.
+        If an experiment cannot be simulated, or no prediction depends on an unknown.
     BudgetError
         If the budget is used up.
     """
@@ -368,7 +369,7 @@ def with_predictions(
 
 
 def _space(fitted: FittedCandidate, experiments: Sequence[Experiment], number: int) -> SearchSpace:
-    """The unknowns of an experiment that were estimated, at their estimates; the rest is held."""
+    """Return the estimated unknowns of an experiment, at their estimates; others are held."""
     problem = replace(
         without_priors(fitted.model.problem),
         experiments=tuple(experiments),
@@ -378,7 +379,7 @@ def _space(fitted: FittedCandidate, experiments: Sequence[Experiment], number: i
     estimated = set(fitted.labels)
     values = {
         **own_starts(fitted, experiments[number].record_id),
-        **fitted.model.values,  # of test experiments too
+        **fitted.model.values,  # including those of test experiments
         **fitted.space.estimates(fitted.x),
     }
     every = make_space(problem, (number,), starts=values)
@@ -387,7 +388,7 @@ def _space(fitted: FittedCandidate, experiments: Sequence[Experiment], number: i
 
 
 def _notes(fitted: FittedCandidate, experiments: Sequence[Experiment]) -> list[str]:
-    """Say what is taken for known."""
+    """Return sentences on the unknowns that count as known."""
     own: list[str] = []
     for number in range(len(experiments)):
         problem = replace(fitted.model.problem, experiments=tuple(experiments), constraints=())
@@ -409,7 +410,7 @@ def _outputs(
     predicted: PredictedExperiment,
     units: Mapping[str, str],
 ) -> list[PredictedOutput]:
-    """The predictions of an experiment, output after output, by all unknowns of the model."""
+    """Return the predictions of an experiment, with derivatives by all unknowns of the model."""
     places = [fitted.labels.index(label) for label in predicted.labels]
     jacobian = np.zeros((len(predicted.outputs), len(fitted.labels)))
     jacobian[:, places] = predicted.jacobian

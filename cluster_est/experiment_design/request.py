@@ -1,4 +1,4 @@
-"""A design that is to be made: its models, limits and settings, checked against each other."""
+"""A request for a design: its models, limits and settings, checked against each other."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from workers.messages import Experiment
 
 
 class DesignSettings(Settings):
-    """What an experiment is chosen for, and how hard it is searched for."""
+    """Purpose of an experiment, and effort of its search."""
 
     section: ClassVar[str] = "design"
 
@@ -94,16 +94,16 @@ FITTED_MODEL = "the fitted model"
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """A design that is to be made.
+    """A request for a design.
 
     Attributes
     ----------
     models
-        That may be the true one, the one that the run chose first. They share the experiments.
+        Models that may be true, first the one that the run chose. They share the experiments.
     limits, settings
-        Of the experiment, and what it is chosen for.
+        Limits of the experiment, and its purpose.
     seed
-        Starts the random generator.
+        Seed of the random generator.
     """
 
     models: tuple[CandidateModel, ...]
@@ -113,12 +113,12 @@ class DesignRequest:
 
     @property
     def problem(self) -> Problem:
-        """Of the first model."""
+        """Problem of the first model."""
         return self.models[0].problem
 
     @property
     def like(self) -> Experiment:
-        """The experiment of the run that the next one begins like."""
+        """The experiment of the run whose start the next experiment has."""
         problem, name = self.problem, self.limits.like
         if not name:
             return problem.experiments[problem.indices("train")[0]]
@@ -131,28 +131,28 @@ class DesignRequest:
 
     @property
     def criterion(self) -> DesignCriterion:
-        """What is asked for, or what suits the models."""
+        """The requested criterion, or the default for the models."""
         usual = "discriminate" if len(self.models) > 1 else "d"
         usual = "v" if self.settings.predictions else usual
         return CRITERIA[self.settings.criterion or usual]
 
     @property
     def targets(self) -> tuple[Experiment, ...]:
-        """The experiments that are to be predicted, with the outputs that count; see `targets`."""
+        """The experiments to predict, with the outputs that count; see `targets`."""
         if not self.criterion.predicts:
             return ()
         return target_experiments(self.settings.predictions, self.problem, self.like)
 
 
 def models_of(result: object) -> tuple[CandidateModel, ...]:
-    """Return the models that the result of a fit or a closed loop leaves room for.
+    """Return the models that are possible after a fit or a closed loop.
 
-    The chosen one is first.
+    The chosen model is first.
 
     Raises
     ------
     ProblemError
-        If it is no result.
+        If the object is not a result.
     """
     competing = getattr(result, "competing", ())
     if competing:
@@ -171,12 +171,12 @@ def models_of(result: object) -> tuple[CandidateModel, ...]:
 def chosen_models(
     models: Sequence[CandidateModel], settings: DesignSettings
 ) -> tuple[CandidateModel, ...]:
-    """Return the first model, and of the others those that are to be told apart.
+    """Return the first model, and the other models that should be discriminated.
 
     Raises
     ------
     ProblemError
-        If one that is named is not among them.
+        If a named model is not among them.
     """
     if not settings.rivals:
         return tuple(models)
@@ -191,12 +191,12 @@ def chosen_models(
 
 
 def check_design(request: DesignRequest) -> None:
-    """Refuse, before anything is simulated, what does not fit together.
+    """Refuse a request whose parts do not fit together, before any simulation.
 
     Raises
     ------
     ClusterEstError
-        Saying what to change.
+        With advice on what to change.
     """
     problem = request.problem
     _check_comparable(problem)
@@ -216,12 +216,12 @@ def check_design(request: DesignRequest) -> None:
 def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
     """Return the labels of the first model's unknowns that count.
 
-    By default all that the next experiment shares with earlier ones.
+    By default, these are all unknowns that the next experiment shares with earlier ones.
 
     Raises
     ------
     ProblemError
-        If a name is none of the run's.
+        If a name is not an unknown of the run.
     """
     problem, settings = request.problem, request.settings
     unknowns = make_space(problem, problem.indices("train")).unknowns
@@ -249,7 +249,7 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
 
 
 def _is_shared(unknown: Unknown, groups: dict[str, str]) -> bool:
-    """Whether a new experiment in these groups has the same value."""
+    """Return whether a new experiment in these groups has the same value."""
     per = unknown.parameter.per
     if per is None:
         return True
@@ -279,7 +279,7 @@ def _check_comparable(problem: Problem) -> None:
 
 
 def _check_variables(request: DesignRequest, description: ModelDescription) -> None:
-    """Refuse names that are none, or of something that cannot be chosen or limited."""
+    """Refuse names that do not exist, or of variables that cannot be chosen or limited."""
     limits, like, variables = request.limits, request.like, description.variables
     if not any(len(output.times) for output in like.outputs):
         raise ProblemError(

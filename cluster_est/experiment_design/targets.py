@@ -1,4 +1,4 @@
-"""What is to be predicted: outputs of experiments that were recorded, or that are planned."""
+"""Targets of predictions: outputs of recorded or planned experiments."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from workers.messages.checks import as_tuple, shown
 
 @dataclass(frozen=True)
 class PredictionTarget:
-    """Outputs of an experiment whose prediction is to become certain.
+    """Outputs of an experiment whose prediction should become accurate.
 
     Attributes
     ----------
     experiment
-        Name of an experiment of the run, test ones included; "" for all of them; or one that nobody
-        has made: the inputs, signals, start values and groups that it does not have are those of
-        the experiment that the next one begins like.
+        Name of an experiment of the run, including test experiments; "" for all of them. Or a
+        planned experiment: its missing inputs, signals, start values and groups are those of the
+        experiment whose start the next experiment has.
     outputs
-        The FMU's names; empty for those that are measured in it, and for the ones that the run
-        measures where it measures none. They count at its measured times; where it has none, at
-        the times of its inputs.
+        The FMU's names. Empty for the outputs measured in the experiment, or without these, for all
+        outputs measured in the run. They count at its measured times; without these, at the times
+        of its inputs.
 
     Raises
     ------
     ProblemError
-        If one is of the wrong kind.
+        If one is of the wrong type.
     """
 
     experiment: str | Experiment = ""
@@ -51,23 +51,23 @@ class PredictionTarget:
 def target_experiments(
     targets: Sequence[PredictionTarget], problem: Problem, like: Experiment
 ) -> tuple[Experiment, ...]:
-    """Return the experiments that are to be predicted, with the outputs that count.
+    """Return the experiments to predict, with the outputs that count.
 
-    Their outputs have the value 0 and no sigma, so that residuals are what is predicted.
+    Their outputs have the value 0 and no sigma, so residuals are the predictions.
 
     Parameters
     ----------
     targets
         Named outputs and experiments; without any, all outputs of all experiments.
     problem
-        That of the run.
+        Problem of the run.
     like
-        The experiment that the next one begins like.
+        The experiment whose start the next experiment has.
 
     Raises
     ------
     ProblemError
-        If a name is none, or there is nothing to predict.
+        If a name does not exist, or there is nothing to predict.
     """
     description = problem.describe()
     found: dict[str, dict[str, Output]] = {}
@@ -101,9 +101,9 @@ def _experiments(
     planned: dict[str, Experiment],
     like: Experiment,
 ) -> list[Experiment]:
-    """The experiments that a target names.
+    """Return the experiments that a target names.
 
-    A planned one is completed, and becomes one of those that are known; `planned` has it as it was.
+    A planned experiment is completed and added to `known`; `planned` keeps its original.
     """
     own = target.experiment
     if isinstance(own, Experiment):
@@ -126,7 +126,7 @@ def _experiments(
 
 
 def _completed(given: Experiment, like: Experiment) -> Experiment:
-    """A planned experiment, with all that it does not say from the one that is like it."""
+    """Return a planned experiment, with missing parts from the similar experiment."""
     inputs = {each.variable for each in given.inputs}
     signals = {each.variable for each in given.signals}
     return replace(
@@ -144,7 +144,7 @@ def _measured(*experiments: Experiment) -> tuple[str, ...]:
 
 
 def _output(experiment: Experiment, name: str, description: ModelDescription) -> Output:
-    """An output at the times at which it counts."""
+    """Return an output at the times at which it counts."""
     numbers = [
         v.name
         for v in description.variables.values()

@@ -1,8 +1,8 @@
-"""Waveforms: families of input signals, each signal a point of a unit cube.
+"""Waveforms: families of input signals, in which each signal is a point of a unit cube.
 
-A search sees points of the cube; a waveform makes a signal between 0 and 1 of one. The range that
-the signal has between its input's limits, and the limit of its rate, are seen to in the base class.
-A new waveform is a class here that is derived from it, and a name in `WAVEFORMS`.
+A search selects points of the cube, and a waveform converts a point to a signal between 0 and 1.
+The base class scales the signal to a range within its input's limits, and limits its rate. To add a
+waveform, derive a class from it here, and add its name to `WAVEFORMS`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray
 
 LEVEL_COORDINATES = 2
-"""Coordinates of a point that every waveform has: the amplitude, and where it lies."""
+"""Number of coordinates that every waveform has: the amplitude and its position."""
 LEAST_AMPLITUDE = 0.02
 HELD_SAMPLES = 4
-"""Samples for which a level is held at least where nothing is said: else they do not show it."""
+"""Default smallest number of samples of a level; shorter levels would not be visible in them."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class WaveformGrid:
     times : (n,)
         In seconds from the beginning, evenly spaced.
     hold
-        Seconds for which a level is held at least.
+        Shortest duration of a level in seconds.
     """
 
     times: FloatArray
@@ -54,10 +54,10 @@ class Waveform(ABC):
     """A family of input signals."""
 
     name: ClassVar[str]
-    """As in a file of limits."""
+    """Name in a limits file."""
 
     size: ClassVar[int]
-    """Coordinates of a point, besides those that every waveform has."""
+    """Number of coordinates of a point, besides those that every waveform has."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -70,9 +70,9 @@ class Waveform(ABC):
         Parameters
         ----------
         point : (size,)
-            Of the unit cube.
+            Point of the unit cube.
         grid
-            Where it is sampled, and how fast it may change.
+            Its sampling times, and the shortest duration of a level.
         """
 
     def signal(self, point: FloatArray, times: FloatArray, limits: InputLimits) -> FloatArray:
@@ -81,11 +81,11 @@ class Waveform(ABC):
         Parameters
         ----------
         point : (LEVELS + size,)
-            Of the unit cube.
+            Point of the unit cube.
         times : (n,)
             In seconds from the beginning, evenly spaced.
         limits
-            Of the input.
+            Limits of the input.
         """
         hold = max(limits.hold, HELD_SAMPLES * float(times[1] - times[0]))
         shape = np.clip(self.shape(point[LEVEL_COORDINATES:], WaveformGrid(times, hold)), 0.0, 1.0)
@@ -96,7 +96,7 @@ class Waveform(ABC):
 
 
 def within_rate(values: FloatArray, times: FloatArray, limits: InputLimits) -> FloatArray:
-    """Return a signal that begins at its start and changes no faster than it may."""
+    """Return a signal with the given start value and a limited rate of change."""
     begin = float(values[0]) if limits.start is None else limits.start
     if np.isinf(limits.rate):
         return np.concatenate([[begin], values[1:]])
@@ -109,11 +109,11 @@ def within_rate(values: FloatArray, times: FloatArray, limits: InputLimits) -> F
 
 
 MOST_LEVELS = 8
-"""Levels or lines of one signal, at most."""
+"""Largest number of levels or lines of one signal."""
 
 
 class Steps(Waveform):
-    """Up to eight levels, each held for a time of its own."""
+    """Up to eight levels, each with its own duration."""
 
     name: ClassVar[str] = "steps"
     size: ClassVar[int] = 2 * MOST_LEVELS + 1
@@ -129,7 +129,7 @@ class Steps(Waveform):
 
 
 def held_ends(spans: FloatArray, grid: WaveformGrid) -> FloatArray:
-    """Return when each of some levels ends: what is not held at least is shared out by `spans`."""
+    """Return the ends of levels; time beyond their shortest durations is divided by `spans`."""
     free = max(grid.duration - len(spans) * grid.hold, 0.0)
     shares = spans + 1e-3
     return np.cumsum(grid.hold + free * shares / np.add.reduce(shares))
@@ -154,7 +154,7 @@ LINES = 6
 
 
 class Multisine(Waveform):
-    """Six sinusoids, of frequencies from one period in the record up to what may be fed in.
+    """Six sinusoids, with frequencies from one period in the record up to the largest allowed.
 
     R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach (2012), chapter 5,
     doi:10.1002/9781118287422.
@@ -179,7 +179,7 @@ BITS = 63
 
 
 class BinarySequence(Waveform):
-    """Two levels, between which chance switches at the ticks of a clock.
+    """Two levels, with random switches at the ticks of a clock.
 
     L. Ljung, System Identification: Theory for the User (1999), section 13.3.
     """
@@ -201,7 +201,7 @@ KNOTS = 12
 
 
 class Spline(Waveform):
-    """A smooth curve through twelve points, which nowhere leaves their range.
+    """A smooth curve through twelve points, which stays within their range.
 
     F. N. Fritsch, R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238-246, doi:10.1137/0717021.
     """

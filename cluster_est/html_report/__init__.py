@@ -1,4 +1,5 @@
-"""One HTML file that says what a run or a sweep found, from its folder alone.
+"""An HTML report of a run or a sweep in one file, written only from its folder.
 
-Read `page.py` first. `charts.py` draws, `page_blocks.py` has what a section is made of.
+Read `page.py` first. `charts.py` draws charts, and `page_blocks.py` contains the parts of a
+section.
 """

@@ -17,7 +17,7 @@ from workers.messages import FloatArray, IntArray, Status
 
 @dataclass
 class _KnownSegment:
-    """A segment as far as it was read: the file, its reader, and how many rows were given."""
+    """A segment as far as it was read: the file, its reader, and the number of rows read."""
 
     file: int = 0
     rows: int = 0
@@ -25,14 +25,14 @@ class _KnownSegment:
 
 
 class LogTail:
-    """Gives the whole batches that have come since it was asked last.
+    """Reads the complete batches that were added since the last call.
 
-    A torn end is normal: it comes when it is whole. Nothing is locked and nothing written.
+    A truncated end is normal; it is read when it is complete. Nothing is locked or written.
 
     Parameters
     ----------
     folder
-        `evaluations` of a run folder; may not be there yet.
+        `evaluations` of a run folder; may be missing.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -40,7 +40,7 @@ class LogTail:
         self._known: dict[str, _KnownSegment] = {}
 
     def new(self) -> Iterator[pa.RecordBatch]:
-        """The new batches, the oldest first.
+        """Yield the new batches, the oldest first.
 
         Raises
         ------
@@ -54,17 +54,17 @@ class LogTail:
                 if found.st_size <= known.reader.end and found.st_ino == known.file:
                     continue
                 yield from self._read(path, known, found.st_ino)
-            except OSError:  # it was replaced or removed just now: the next call sees it
+            except OSError:  # just replaced or removed; the next call reads it
                 continue
             known.reader.check(path, ended=False)
 
     def check_ended(self) -> None:
-        """Refuse a log that is torn although its run has reached its end.
+        """Check that the log of a finished run is not truncated.
 
         Raises
         ------
         RunFolderError
-            If it is.
+            If it is truncated.
         """
         for name, known in self._known.items():
             known.reader.check(self._folder / name, ended=True)
@@ -84,15 +84,15 @@ class LogTail:
 
 KINDS_OF_FAILURE = 200
 BREAK_SECONDS, BREAK_SHARE = 60.0, 0.05
-"""A break is longer than this number of seconds, and than this share of the whole time."""
+"""A break is longer than this number of seconds, and than this share of the total time."""
 NUMBER_IN_MESSAGE = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
 class FailureGroup:
-    """Simulations that failed in the same way, but for the numbers in what is said of them.
+    """Simulations that failed with the same message, apart from numbers in it.
 
-    `message` is that of the first, and `first` its row in the log, which replay takes.
+    `message` is that of the first simulation, and `first` is its row in the log, for a replay.
     """
 
     status: str
@@ -109,15 +109,15 @@ class LogActivity:
     Attributes
     ----------
     simulations
-        How many.
+        Number of simulations.
     workers
-        Their names.
+        Names of the workers.
     worker : (n,)
-        Which one, for each simulation whose end is known.
+        Index of the worker, for each simulation with a known end.
     ended, seconds : (n,)
-        When its answer came, in seconds since 1970, and what it took.
+        Time of the answer, in seconds since 1970, and duration of the simulation.
     failures
-        The most frequent ones first.
+        The most frequent failures first.
     """
 
     simulations: int
@@ -129,7 +129,7 @@ class LogActivity:
 
 
 class FailureCounts:
-    """Counts failures by their messages, batch after batch."""
+    """Counts failures by their messages, batch by batch."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], tuple[int, int, str, dict[str, None]]] = {}
@@ -157,7 +157,7 @@ class FailureCounts:
 
     @property
     def failures(self) -> tuple[FailureGroup, ...]:
-        """The most frequent ones first."""
+        """Groups of failures, the most frequent first."""
         rows = [
             FailureGroup(status, message, number, first, tuple(experiments))
             for (status, _), (number, first, message, experiments) in self._found.items()
@@ -166,7 +166,7 @@ class FailureCounts:
 
 
 def read_activity(folder: Path, *, ended: bool) -> LogActivity:
-    """Read the small columns of a log, of one that is still written too unless its run has `ended`.
+    """Read the small columns of a log, which may still grow unless its run has `ended`.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def read_activity(folder: Path, *, ended: bool) -> LogActivity:
 
 
 class ActivityTail:
-    """Activity of a log, kept up to date while it is written; see `LogTail`."""
+    """Activity in a log, updated while the log is written; see `LogTail`."""
 
     def __init__(self, folder: Path) -> None:
         self._tail = LogTail(folder)
@@ -188,7 +188,7 @@ class ActivityTail:
         self.counts = FailureCounts()
 
     def read(self, *, ended: bool = False) -> None:
-        """Take in what is new; nothing may be torn if the run has `ended`.
+        """Read new simulations; if the run has `ended`, the log must not be truncated.
 
         Raises
         ------
@@ -197,7 +197,7 @@ class ActivityTail:
         """
         self._take_in()
         if ended:
-            self._take_in()  # a segment that was replaced just now, as a run does at its end
+            self._take_in()  # a finished run replaces its segments
             self._tail.check_ended()
 
     def _take_in(self) -> None:
@@ -212,7 +212,7 @@ class ActivityTail:
 
     @property
     def activity(self) -> LogActivity:
-        """Everything so far."""
+        """Activity so far."""
         if len(self._parts) > 1:
             worker, ended, seconds = (np.concatenate(p) for p in zip(*self._parts, strict=True))
             self._parts = [(worker, ended, seconds)]
@@ -241,7 +241,7 @@ def without_breaks(activity: LogActivity) -> tuple[LogActivity, float]:
 
 
 def busy_shares(activity: LogActivity, bins: int) -> tuple[FloatArray, FloatArray]:
-    """The share of each stretch of time for which each worker was busy.
+    """Return the share of each time interval in which each worker was busy.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def busy_shares(activity: LogActivity, bins: int) -> tuple[FloatArray, FloatArra
 
 
 def _ramps(places: FloatArray, edges: FloatArray) -> FloatArray:
-    """The sum of max(t - place, 0) over all places, at each edge t."""
+    """Return the sum of max(t - place, 0) over all places, at each edge t."""
     sums = np.concatenate([[0.0], np.cumsum(places)])
     below = np.searchsorted(places, edges, side="right")
     return np.asarray(below * edges - sums[below])

@@ -1,9 +1,9 @@
 """Charts as HTML with inline SVG, drawn without a library and without a network.
 
-A `Chart` has plots below each other with the same scale across, a `Plot` has marks between two
-scales. Each mark makes paths; colours and widths are those of its CSS class. Texts are HTML beside
-a stretched SVG, so that they keep their size on any screen and on paper. The page's script reads
-scales and paths back to show values and to zoom; all is seen without it.
+A `Chart` contains plots below each other with a common horizontal scale. A `Plot` contains marks
+between two scales. Each mark produces paths; its CSS class determines colours and widths. Texts are
+HTML beside a stretched SVG, so their size is the same on any screen and on paper. The page's script
+reads scales and paths to show values and to zoom; without the script, everything is still visible.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LARGEST_COORDINATE = 100 * PLOT_UNITS
 
 
 def whole_places(x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Whole places of points whose y grows upwards, and which of the points these are."""
+    """Return integer coordinates of points, with y upwards, and the indices of these points."""
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     across = np.clip(np.rint(x[known]), -LARGEST_COORDINATE, LARGEST_COORDINATE).astype(np.int64)
     down = np.clip(np.rint(PLOT_UNITS - y[known]), -LARGEST_COORDINATE, LARGEST_COORDINATE).astype(
@@ -35,7 +35,7 @@ def whole_places(x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray, IntA
 
 
 def line_path(x: FloatArray, y: FloatArray) -> str:
-    """A line through places; it is broken where one of them is NaN."""
+    """Return a line through points, which is interrupted at NaN."""
     across, down, known = whole_places(x, y)
     parts = []
     breaks = np.flatnonzero(np.diff(known) > 1) + 1
@@ -49,18 +49,18 @@ def line_path(x: FloatArray, y: FloatArray) -> str:
 
 
 def dots_path(x: FloatArray, y: FloatArray) -> str:
-    """A line without length at each place; round ends make a dot of it."""
+    """Return a line of length 0 at each point; round ends make it a dot."""
     across, down, _ = whole_places(x, y)
     return "".join(f"M{a} {b}h0" for a, b in zip(across.tolist(), down.tolist(), strict=True))
 
 
 def outline_path(x: FloatArray, low: FloatArray, high: FloatArray) -> str:
-    """An area between two lines over the same places."""
+    """Return an area between two lines with the same x."""
     return line_path(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]])) + "z"
 
 
 def box_paths(corners: Iterable[Sequence[float]]) -> str:
-    """Rectangles, each from its left, right, lower and upper place."""
+    """Return rectangles, each given by its left, right, lower and upper coordinate."""
     parts = []
     for left, right, low, high in corners:
         a, b = round(left), round(right)
@@ -70,20 +70,20 @@ def box_paths(corners: Iterable[Sequence[float]]) -> str:
 
 
 def _joined(numbers: Iterable[int]) -> str:
-    """Join numbers, with a space where no sign separates them."""
+    """Join numbers, with a space unless a sign separates them."""
     return " ".join(map(str, numbers)).replace(" -", "-")
 
 
 PATH = Markup('<path class="{} {}"{} d="{}"/>')
 SHADES_OF_CELLS = 5
-"""Shades of `Cells`."""
+"""Number of shades of `Cells`."""
 
 
 @dataclass(frozen=True)
 class Mark(ABC):
-    """A mark in a plot: what it shows, its ink (a CSS class that names a colour), and its paths.
+    """A mark in a plot: its values, its ink (a CSS class that names a colour), and its paths.
 
-    `kind` is the CSS class of its paths; marks that `read` are read off under the pointer.
+    `kind` is the CSS class of its paths. Values of marks with `read` are shown under the pointer.
     """
 
     name: str
@@ -93,10 +93,10 @@ class Mark(ABC):
 
     @abstractmethod
     def data(self, x: Scale, y: Scale) -> str:
-        """The path's data between two scales."""
+        """Return the path's data between two scales."""
 
     def svg(self, x: Scale, y: Scale) -> Markup:
-        """The mark as elements of SVG."""
+        """Return the mark as elements of SVG."""
         named = Markup(' data-name="{}"').format(self.name) if self.reads else ""
         return PATH.format(self.kind, self.ink, named, self.data(x, y))
 
@@ -168,7 +168,7 @@ class Band(Mark):
 @final
 @dataclass(frozen=True)
 class Bars(Mark):
-    """A bar between each two edges, from the lower end of the plot or from 0 up to its height."""
+    """A bar between each two edges, from the lower end of the plot or from 0 to its height."""
 
     edges: FloatArray = field(repr=False)
     heights: FloatArray = field(repr=False)
@@ -184,7 +184,7 @@ class Bars(Mark):
 @final
 @dataclass(frozen=True)
 class Rules(Mark):
-    """Straight lines across the plot: upright ones at values of x, level ones at values of y."""
+    """Straight lines across the plot: vertical at values of x, horizontal at values of y."""
 
     x: Sequence[float] = ()
     y: Sequence[float] = ()
@@ -201,13 +201,13 @@ class Rules(Mark):
 @final
 @dataclass(frozen=True)
 class Cells(Mark):
-    """Rows of cells between the same edges, the darker the nearer their share is to 1.
+    """Rows of cells between the same edges, which are darker for a larger share.
 
     Attributes
     ----------
     edges : (n + 1,)
     shares : (rows, n)
-        From 0 to 1; row i stands around y = i.
+        From 0 to 1; row i is centred at y = i.
     """
 
     edges: FloatArray = field(repr=False)
@@ -225,7 +225,7 @@ class Cells(Mark):
         )
 
     def _boxes(self, x: Scale, y: Scale, level: int) -> str:
-        """Cells of one shade; neighbours in a row are one box."""
+        """Return the cells of one shade; adjacent cells in a row are one box."""
         ends = x.places(self.edges)
         found = []
         for row, shares in enumerate(np.rint(self.shares * SHADES_OF_CELLS).astype(int)):
@@ -236,9 +236,9 @@ class Cells(Mark):
 
 
 PIXELS_A_TICK, PIXELS_A_TEXT = 40, 17
-"""Height of a plot for each value at its side: usual, and least, in pixels."""
+"""Height in pixels of a plot for each tick: usual and smallest."""
 MOST_SIGNS = 70
-"""Largest number of characters below a plot, with two for the space after each number."""
+"""Largest number of characters below a plot, including two for the space after each number."""
 
 PLOT = Markup(
     '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}"{called}>{label}{beside}'
@@ -247,7 +247,7 @@ PLOT = Markup(
 )
 CHART = Markup('<div class="chart{classes}"{gutter}{record}>{legend}{plots}{under}</div>')
 USUAL_GUTTER = 56
-"""Usual width for the numbers at the left of a plot, in pixels."""
+"""Usual width of the numbers at the left of a plot, in pixels."""
 
 
 @final
@@ -258,20 +258,20 @@ class Plot:
     Attributes
     ----------
     title
-        What it shows, in words, for those who do not see it.
+        Description of the content, for screen readers.
     label
-        What stands above its upright scale.
+        Label above its vertical scale.
     x, y
         Its scales.
     marks
-        The last one is drawn on top.
+        Marks; the last one is drawn on top.
     height
-        In pixels.
+        Height in pixels.
     rows
-        Names of the rows at y = 0, 1, ...; round values of y without names.
+        Names of the rows at y = 0, 1, ...; without names, ticks at round values of y.
     called
-        What its values are called under the pointer and in a file, where the names of the marks
-        stand for something else in the chart's other plots.
+        Name of its values under the pointer and in a file, if the names of the marks have another
+        meaning in the chart's other plots.
     """
 
     title: str
@@ -284,14 +284,14 @@ class Plot:
     called: str = ""
 
     def beside(self) -> tuple[tuple[float, str], ...]:
-        """Values of y with what is written at them."""
+        """Values of y and their labels."""
         if self.rows:
             return tuple((float(i), name) for i, name in enumerate(self.rows))
         ticks = self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
         return ticks[:: math.ceil(len(ticks) * PIXELS_A_TEXT / self.height)]
 
     def under(self, most: int) -> tuple[tuple[float, str], ...]:
-        """Values of x with what is written at them, as many as there is room for."""
+        """Return values of x and their labels, as many as fit."""
         ticks = self.x.ticks(most)
         while most > 1 and sum(len(text) + 2 for _, text in ticks) > MOST_SIGNS:
             most -= 1
@@ -299,7 +299,7 @@ class Plot:
         return ticks
 
     def html(self, *, across: int, last: bool) -> Markup:
-        """The plot as HTML; values of x are written below the `last` one of a chart."""
+        """Return the plot as HTML; labels of x are only below the `last` plot of a chart."""
         up = [(place, text) for place, text in self._placed(self.y, self.beside())]
         right = self._placed(self.x, self.under(across))
         grid = [f"M0 {round(PLOT_UNITS - place)}H{PLOT_UNITS}" for place, _ in up if not self.rows]
@@ -332,19 +332,19 @@ class Chart:
     Attributes
     ----------
     plots
-        With the same scale across.
+        Plots with the same horizontal scale.
     below
-        What the scale across shows.
+        Label of the horizontal scale.
     legend
         Whether the names of the marks are shown.
     across
-        About how many values are written across.
+        Approximate number of labels of the horizontal scale.
     gutter
-        Pixels at the left for what is written there; None for numbers.
+        Width in pixels of the labels at the left; None for numbers.
     zooms
         Whether values are shown under the pointer, and dragging zooms.
     record
-        Name of the `FullRecord` that has every sample of it; "" if there is none.
+        Name of the `FullRecord` with all samples of the chart; "" if there is none.
     """
 
     plots: Sequence[Plot]
@@ -356,7 +356,7 @@ class Chart:
     record: str = ""
 
     def html(self) -> Markup:
-        """The chart as HTML."""
+        """Return the chart as HTML."""
         last = len(self.plots) - 1
         plots = [plot.html(across=self.across, last=i == last) for i, plot in enumerate(self.plots)]
         gutter = self.gutter or max(
@@ -386,9 +386,9 @@ def row_chart(
     title: str, below: str, across: Scale, marks: Sequence[Mark], names: Sequence[str],
     *, height: int = 20, least: int = 60, legend: bool = True, ticks: int = 8,
 ) -> Chart:  # fmt: skip
-    """Return a chart with a row of so many pixels for each name, the first one at the top.
+    """Return a chart with a row for each name, the first one at the top.
 
-    All together have `least` pixels or more.
+    The height of all rows together is at least `least` pixels.
     """
     upright = Scale(len(names) - 0.5, -0.5)
     plot = Plot(title, "", across, upright, marks, max(least, height * len(names)), names)
@@ -396,17 +396,17 @@ def row_chart(
 
 
 def _gutter(names: Sequence[str]) -> int:
-    """Return pixels that names at the left of a plot take; longer ones are cut off."""
+    """Return the width in pixels of names at the left of a plot; longer names are cut off."""
     return min(240, 16 + 7 * max(map(len, names), default=0))
 
 
 def _ends(scale: Scale) -> str:
-    """Both ends with all their digits, for the page's script."""
+    """Return both ends with all digits, for the page's script."""
     return f"{scale.low!r} {scale.high!r}{' log' if scale.log else ''}"
 
 
 def _texts(kind: str, side: str, placed: Sequence[tuple[float, str]]) -> Markup:
-    """Texts at their places along one side of a plot."""
+    """Return texts at their positions along one side of a plot."""
     entry = Markup('<span style="{}:{}%">{}</span>')
     texts = [entry.format(side, f"{100.0 * at / PLOT_UNITS:.4g}", text) for at, text in placed]
     return Markup('<div class="{}" aria-hidden="true">{}</div>').format(

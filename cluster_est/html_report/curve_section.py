@@ -1,4 +1,4 @@
-"""Curves of every experiment: inputs, measured and simulated outputs, and what is left of them."""
+"""Curves of every experiment: inputs, measured and simulated outputs, and residuals."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ from workers.messages import FloatArray, IntArray
 
 
 def extremes(x: FloatArray, y: FloatArray, columns: int) -> IntArray:
-    """Return indices into a curve that keep what is seen of it in so many columns.
+    """Return indices into a curve that preserve its appearance in a number of columns.
 
-    The range of x is cut into columns of equal width. Of each, the samples with the lowest and the
-    highest y are kept, and the first and last of all. Samples in a column are one above the other
-    when it is a pixel wide, so that only samples that others hide are left out.
+    The range of x is divided into columns of equal width. In each column, the samples with the
+    lowest and the highest y are kept, and the first and last sample of all. If a column is one
+    pixel wide, only samples hidden by others are omitted.
 
     Parameters
     ----------
     x : (n,)
         Finite, in any order; it is drawn in the order of the samples.
     y : (n,)
-        NaN is taken for no sample; ends of gaps are kept, so that gaps stay gaps, unless there are
-        more of them than columns.
+        A NaN counts as no sample. Ends of gaps are kept, so that gaps remain visible, unless there
+        are more of them than columns.
     columns
-        Across the plot.
+        Number of columns of the plot.
 
     Returns
     -------
@@ -75,35 +75,35 @@ def extremes(x: FloatArray, y: FloatArray, columns: int) -> IntArray:
 
 
 def column_of(x: FloatArray, columns: int) -> IntArray:
-    """The column that each sample stands in, from 0 on."""
+    """Return the column of each sample, from 0 on."""
     low, span = float(x.min()), float(np.ptp(x)) or 1.0
     return np.minimum(((x - low) / span * columns).astype(np.int64), columns - 1)
 
 
 MOST_CURVE_POINTS = 80_000
-"""Points of all curves together: about 7 bytes each in the page."""
+"""Largest number of points of all curves together; each takes about 7 bytes in the page."""
 FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART = 20, 600
-"""Limits of the columns of a chart, each with the lowest and the highest sample of every curve."""
+"""Limits of the number of columns of a chart; a column has two samples of each curve."""
 MOST_CURVE_PANELS = 250
 MOST_INPUTS = 3
 """Largest number of inputs that are drawn above an output."""
 FEW_SAMPLES = 150
 """Largest number of measured values that are drawn as dots."""
 CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))
-"""Names and inks."""
+"""Names and inks of the curves."""
 INPUT_HEIGHT, HEIGHT, RESIDUAL_HEIGHT = 44, 170, 84
 LEAD_HEIGHT, LEAD_RESIDUAL_HEIGHT = 180, 90
-"""The same heights, for the charts at the head of the page."""
+"""Heights of the output and the residual in charts at the head of the page."""
 MOST_BEFORE = 3.0
-"""Largest height of the curve before, over that of the other curves; the rest is cut off."""
+"""Largest height of the curve before the fit, relative to the other curves; the rest is cut off."""
 LIMITS_OF_NOISE = 2.0
-"""Distance of the dashed lines from 0 in a plot of residuals, over the noise."""
+"""Distance of the dashed lines from 0 in a plot of residuals, relative to the noise."""
 RESIDUAL = "residual"
 
 
 @dataclass(frozen=True)
 class _Across:
-    """What all plots of a chart share: the scale of the time, its unit in seconds, the columns."""
+    """Common properties of a chart's plots: scale of the time, its unit in seconds, columns."""
 
     x: Scale
     seconds: float
@@ -116,7 +116,7 @@ class RecordCharts:
     Parameters
     ----------
     run
-        With curves.
+        A run with curves.
     """
 
     def __init__(self, run: ReportedRun) -> None:
@@ -127,30 +127,30 @@ class RecordCharts:
 
     @cached_property
     def shown(self) -> list[Key]:
-        """The records that have a chart, in their order: those with the largest errors."""
+        """The records with a chart: those with the largest errors, in their original order."""
         kept = set(self.ranked()[:MOST_CURVE_PANELS])
         return [key for key in self._known if key in kept]
 
     @cached_property
     def columns(self) -> int:
-        """Of each chart."""
+        """Number of columns of each chart."""
         points = sum(10 + 4 * len(self._known[key].inputs[:MOST_INPUTS]) for key in self.shown)
         columns = MOST_CURVE_POINTS / max(points, 1)
         return int(np.clip(columns, FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART))
 
     def ranked(self, role: str = "") -> list[Key]:
-        """The records of a role, the one with the largest error over its measure first."""
+        """Return the records of a role, sorted by decreasing relative error."""
         own = [key for key, each in self._known.items() if role in ("", each.role)]
         return sorted(own, key=lambda key: -self._size(key))
 
     def _size(self, key: Key) -> float:
-        """The error of a record over its measure; less than any other where it is not known."""
+        """Return the relative error of a record; -1 if unknown."""
         row = self._rows.get(key)
         size = math.nan if row is None else self._sizes.of([row], "after")
         return -1.0 if math.isnan(size) else size
 
     def full(self) -> dict[str, FullRecord]:
-        """The records that are thinned in their charts, as far as there is room for them."""
+        """Return all samples of records that are thinned in their charts, as far as they fit."""
         long = [key for key in self.ranked() if self._is_thinned(key)]
         heads = [found[0] for role in ("train", "test") if (found := self.ranked(role))]
         order = [*(key for key in heads if key in long), *(key for key in long if key not in heads)]
@@ -162,13 +162,13 @@ class RecordCharts:
         return each.has_times and len(each.measured) > 2 * self.columns + 2
 
     def note(self, key: Key) -> str:
-        """The role of a record and its error, in the unit of the output and over its measure."""
+        """Return the role of a record and its error, in the unit of the output and relative."""
         row = self._rows.get(key)
         held_out = self._known[key].role == "test"
         return ("held out, " if held_out else "") + ("" if row is None else self._sizes.said([row]))
 
     def chart(self, key: Key, *, lead: bool = False) -> Chart:
-        """The chart of a record: its inputs, the output, and what is left of it."""
+        """Return the chart of a record: its inputs, the output, and the residual."""
         each, row = self._known[key], self._rows.get(key)
         name, unit = (
             " of ".join(reversed(key)),
@@ -197,12 +197,12 @@ class RecordCharts:
 
 
 def _name(key: Key) -> str:
-    """The name of a record on the page."""
+    """Return the name of a record on the page."""
     return " ".join(key)
 
 
 def lead_figures(charts: RecordCharts) -> list[FigureBlock]:
-    """The training record with the largest error, and the held-out one, for the head of a page."""
+    """Return the training record and the held-out record with the largest errors."""
     found = []
     for role, id_, one, worst in (
         ("train", "worst", "The training record", "The worst training record"),
@@ -218,12 +218,12 @@ def lead_figures(charts: RecordCharts) -> list[FigureBlock]:
 
 
 def curves(run: ReportedRun, charts: RecordCharts, full: Sequence[str]) -> ReportSection:
-    """Every output of every experiment as a small chart.
+    """Return the section with every output of every experiment as a small chart.
 
     Parameters
     ----------
     run, charts
-        The run, and what makes its charts.
+        The run, and the object that makes its charts.
     full
         Names of the records whose samples are all in the page.
     """
@@ -237,7 +237,7 @@ def curves(run: ReportedRun, charts: RecordCharts, full: Sequence[str]) -> Repor
 
 
 def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
-    """Say what is drawn and what is left out."""
+    """Return a text about what is drawn and what is omitted."""
     known, shown, columns = run.curves, charts.shown, charts.columns
     said = (
         f"Before: {run.before}. The lowest plot of each chart shows measured minus simulated "
@@ -284,7 +284,7 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
 
 
 def _input(given: SignalCurve, across: _Across) -> Plot:
-    """An input above the output."""
+    """Return the plot of an input, above the output."""
     time, x = given.time / across.seconds, across.x
     inside = np.flatnonzero((time >= x.low) & (time <= x.high))
     rows = slice(*(inside[[0, -1]] + [0, 1])) if len(inside) else slice(0, None)
@@ -295,9 +295,9 @@ def _input(given: SignalCurve, across: _Across) -> Plot:
 
 
 def _upright(each: OutputCurves) -> Scale:
-    """The scale of an output: what was measured and simulated, and before unless that is far off.
+    """Return the scale of an output: measured, simulated and, unless far off, before the fit.
 
-    What is too high is cut off.
+    Values outside the scale are cut off.
     """
     after = each.after if each.fine is None else each.fine[1]
     before = each.before if each.fine is None else each.fine[2]
@@ -311,7 +311,7 @@ def _upright(each: OutputCurves) -> Scale:
 
 
 def _upper(each: OutputCurves, across: _Across) -> list[Mark]:
-    """What was measured and simulated."""
+    """Return the marks of measured and simulated values."""
     seconds, columns = across.seconds, across.columns
     time = each.time / seconds
     marks: list[Mark] = [] if each.band is None else [_band(time, each.band, columns)]
@@ -328,7 +328,7 @@ def _upper(each: OutputCurves, across: _Across) -> list[Mark]:
 def _residual(
     name: str, each: OutputCurves, across: _Across, unit: str, noise: float, height: int
 ) -> Plot:
-    """What is left of an output on a scale of its own, with lines at twice the noise."""
+    """Return the plot of the residual with its own scale, with lines at twice the noise."""
     label, curve = (
         ("after", each.after) if np.isfinite(each.after).any() else ("before", each.before)
     )
@@ -343,13 +343,13 @@ def _residual(
 
 
 def _band(time: FloatArray, band: tuple[FloatArray, FloatArray], columns: int) -> Band:
-    """The band at evenly spaced measured times: it is smooth."""
+    """Return the band at some evenly spaced measured times, because it is smooth."""
     kept = np.unique(np.linspace(0, len(time) - 1, min(len(time), columns)).astype(int))
     return Band("posterior", "after", time[kept], band[0][kept], band[1][kept])
 
 
 def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
-    """Of a curve without times: how far each of its segments is from what was simulated."""
+    """Return a chart of the distance of each segment of a curve from the simulation."""
     segment = np.arange(len(each.residual), dtype=float)
     plot = Plot(
         f"{name}: distance of each segment from the simulated curve",
@@ -374,14 +374,14 @@ def _line(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
 
 
 def _broken(x: FloatArray, *ys: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-    """Put a sample without a value into each gap between samples."""
+    """Insert a sample without a value into each gap between samples."""
     gaps = long_steps(x)
     behind = np.searchsorted(x, gaps[:, 1])
     return np.insert(x, behind, gaps.mean(axis=1)), [np.insert(y, behind, np.nan) for y in ys]
 
 
 def _without_lines(each: OutputCurves, unit: TimeUnit) -> OutputCurves:
-    """A record in a unit of time, with a sample without values in each gap."""
+    """Return a record in a unit of time, with a sample without values in each gap."""
     curves = each.measured, each.after, each.before
     time, (measured, after, before) = _broken(each.time / unit.seconds, *curves)
     return replace(each, time=time, measured=measured, after=after, before=before)

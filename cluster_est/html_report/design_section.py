@@ -1,4 +1,4 @@
-"""The section on a design: the input, what each model predicts of it, and what it will tell."""
+"""The section on a design: the input, predictions of the models, and expected information."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from cluster_est.problem.display import percent
 from workers.messages import FloatArray
 
 MOST_MODELS = 5
-"""Number of models whose predictions are drawn."""
+"""Largest number of models whose predictions are drawn."""
 COVERED = 1.96
 Curve = tuple[FloatArray, FloatArray, FloatArray]
 INPUT_NOTE = "The table next to the run's folder contains this input, ready for the experiment."
@@ -43,23 +43,23 @@ OUTPUT_NOTE = (
 
 
 def design(run: ReportedRun) -> ReportSection:
-    """What a design is expected to do to rivals, parameters and predictions; else nothing."""
+    """Return the section on the expected results of a design; empty for other runs."""
     blocks = _tables(run)[1:] if run.is_design else []
     return ReportSection("design", "What the experiment is expected to tell", tuple(blocks))
 
 
 def design_table(run: ReportedRun) -> list[Block]:
-    """The table that answers what the design is for, for the head of a page."""
+    """Return the table for the purpose of the design, for the head of a page."""
     return _tables(run)[:1]
 
 
 def _tables(run: ReportedRun) -> list[Block]:
-    """What the experiment does to models, predictions and parameters, what it is for first."""
+    """Return tables of models, predictions and parameters, in the order of the design's purpose."""
     return [*_models(run), *_rivals(run), *_predictions(run), *_parameters(run)]
 
 
 def design_pictures(run: ReportedRun) -> list[FigureBlock]:
-    """The input, and what each model predicts of it, for the head of a page."""
+    """Return the input and the models' predictions, for the head of a page."""
     units = run.facts["design"].get("units") or {}
     return [*_inputs(run.tables["next_input"], units), *_outputs(run.tables["expected"], units)]
 
@@ -99,7 +99,7 @@ def _outputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]
 
 
 def _curves(rows: Sequence[Row]) -> dict[str, Curve]:
-    """Time, what is expected and its error, for each of the leading models."""
+    """Return time, expected value and its error, for each of the leading models."""
     found = {}
     for model in list(dict.fromkeys(row["model"] for row in rows))[:MOST_MODELS]:
         own = [row for row in rows if row["model"] == model]
@@ -111,7 +111,7 @@ def _curves(rows: Sequence[Row]) -> dict[str, Curve]:
 
 
 def _plot(label: str, models: Mapping[str, Curve], begin: int = 0) -> Plot:
-    """Curves with their bands, in inks that are counted from `begin`."""
+    """Return curves with their bands, in inks numbered from `begin`."""
     marks: list[Mark] = []
     for number, (model, (time, expected, error)) in enumerate(models.items(), begin):
         ink, band = f"series-{number}", COVERED * error
@@ -174,7 +174,7 @@ def _parameters(run: ReportedRun) -> list[Block]:
 
 
 def _errors(row: Row) -> list[str]:
-    """The standard error now, after the experiment, and after a random input."""
+    """Return the standard error now, after the experiment, and after a random input."""
     return [digits(row[key]) for key in ("std_error_before", "std_error_after", "random")]
 
 

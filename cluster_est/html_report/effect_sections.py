@@ -1,4 +1,4 @@
-"""Effects that the model lacked: equations, coefficients, curves over the range of the data."""
+"""Effects that the model lacked: equations, coefficients, and curves over the range of the data."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from workers.messages import FloatArray
 
 BAND_MARGIN = 1.5
-"""Largest distance of a band from its curve, over the height of the curve: a wide band hides it."""
+"""Largest width of a band relative to the height of its curve; a wider band would hide it."""
 EVIDENCE = (
     "The dots are estimates at a few points, from the residuals alone and without an assumed form; "
     "their error bars are 95 % intervals. The line is the fitted effect. If the dots lie on the "
@@ -73,7 +73,7 @@ def shape_figure(row: Row, number: int) -> FigureBlock:
     edges, counts = np.array(row["edges"], float), np.array(row["counts"], float)
     across, label = Scale.around(edges, margin=0.01), with_unit(row["part"], row["unit"])
     title = f"{row['part']} over {over}, in the range of the training data"
-    if not len(edges):  # a response of a filter, over time or frequency
+    if not len(edges):  # the response of a filter, over time or frequency
         across, title = Scale.around(x, margin=0.01, may_be_log=True), f"{label} over {over}"
     if not known:
         title += "; the data do not determine every coefficient, so there is no band"
@@ -106,20 +106,20 @@ def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], Float
 
 
 def _lead(run: ReportedRun) -> Row | None:
-    """The shape at the head of the page: the first one of the effects that were found."""
+    """Return the shape for the head of the page: that of the first effect found."""
     found = {effect["name"] for effect in run.facts.get("effects") or []}
     drawn = (row for row in run.tables["shapes"] if row["effect"] in found and not row["why_not"])
     return next(drawn, None)
 
 
 def lead_shape(run: ReportedRun) -> list[FigureBlock]:
-    """The picture of the effect that was found, for the head of a page."""
+    """Return the picture of the effect found, for the head of a page."""
     lead = _lead(run)
     return [] if lead is None else [shape_figure(lead, 0)]
 
 
 def effect_words(run: ReportedRun) -> list[Block]:
-    """The equation of each effect that was found, and its values."""
+    """Return the equation of each effect found, and its values."""
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
         blocks.append(TextBlock(effect["equation"], kind="equation"))
@@ -132,13 +132,13 @@ def effect_words(run: ReportedRun) -> list[Block]:
 
 
 def _how_sure(effect: Row) -> TextBlock:
-    """How often claims or leads like this were right in the benchmark."""
+    """Return how often such claims or leads were correct in the benchmark."""
     said = effect["claim"]["sentence"]
     return TextBlock(f"{said[:1].upper()}{said[1:]}.")
 
 
 def sure_words(run: ReportedRun) -> list[Block]:
-    """How probable what was found is among its rivals, and how often it is chosen again."""
+    """Return how probable the effects are among rivals, and how often they are chosen again."""
     said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
     return [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
 
@@ -147,7 +147,7 @@ COEFFICIENTS = ("coefficient", "#value", "#95 % interval", "unit", "")
 
 
 def effects(run: ReportedRun) -> ReportSection:
-    """Make the section of the effects that were added, or of those that did not pass."""
+    """Return the section of the effects that were added, or of those that were rejected."""
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
         blocks += _effect(run, effect)
@@ -198,7 +198,7 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
 
 
 def _shapes(rows: Sequence[Row], lead: Row | None = None) -> list[Block]:
-    """The shapes of one effect but that at the head, or the reason why they are missing."""
+    """Return the shapes of one effect except that at the head, or why they are missing."""
     blocks: list[Block] = [
         shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"] and row is not lead
     ]
@@ -207,7 +207,7 @@ def _shapes(rows: Sequence[Row], lead: Row | None = None) -> list[Block]:
 
 
 def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]:
-    """An effect that the config declares: its coefficients and its shapes."""
+    """Return an effect declared in the config: its coefficients and its shapes."""
     own = [row for row in run.tables["parameters"] if row["parameter"].startswith(f"{name}.")]
     rows = [
         (
@@ -225,7 +225,7 @@ def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]
 
 
 def candidates(run: ReportedRun) -> ReportSection:
-    """Make the section of the candidates, ranked, and of those that cannot be told apart."""
+    """Return the section of the ranked candidates, and of those that cannot be distinguished."""
     rows = run.tables["findings"]
     blocks: list[Block] = [_rivals(effect) for effect in run.facts.get("effects") or []]
     if rows:
@@ -255,13 +255,13 @@ LEFT_OUT = (
 
 
 def _compared(run: ReportedRun) -> list[Block]:
-    """The structures that each step refitted, the best first."""
+    """Return the structures that each step refitted, the best first."""
     names = (
         "structure", "#gap closed", "#criterion", "#left out", "#held out", "#probability",
         "#chosen", "move", "",
     )  # fmt: skip
     blocks: list[Block] = []
-    rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
+    rows = [row for row in run.tables["structures"] if row["effects"]]  # without the declared model
     if any(row["left_out"] == row["left_out"] for row in rows):
         blocks.append(TextBlock(LEFT_OUT))
     for step in sorted({row["step"] for row in rows}):
@@ -285,20 +285,20 @@ def _compared(run: ReportedRun) -> list[Block]:
 
 
 def _end(row: Row) -> str:
-    """Say why a set of effects was not accepted; nothing if another set was better."""
+    """Return why a set of effects was not accepted; "" if another set was better."""
     if row["stopped_by"]:
         return f"stopped by: {row['stopped_by']}"
     return "" if row["converged"] else "fell behind"
 
 
 def _closed(row: Row) -> str:
-    """The share of the gap that a set of effects closes; nothing where there is no gap."""
+    """Return the share of the gap that a set of effects closes; "" without a gap."""
     closed = row["closed"]
     return f"{100.0 * closed:.1f}\u2009%" if math.isfinite(closed) else ""
 
 
 def _share(row: Row, name: str) -> str:
-    """A probability of a set of effects, where it has one."""
+    """Return a probability of a set of effects; "" if it has none."""
     share = row[name]
     if share is None or share != share:
         return ""
@@ -306,7 +306,7 @@ def _share(row: Row, name: str) -> str:
 
 
 STAGES = tuple(reversed(CandidateStage))
-"""The furthest first."""
+"""Stages of candidates, the last one first."""
 
 
 def _rank(row: Row) -> tuple[int, float, float]:

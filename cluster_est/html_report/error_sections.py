@@ -1,4 +1,4 @@
-"""How large the errors are: beside the noise at the head of a page, and in tables."""
+"""Sizes of the errors: compared with the noise at the head of a page, and in tables."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ from cluster_est.html_report.reported_run import ReportedRun, Row
 from cluster_est.html_report.scales import Scale
 
 MOST_EXPERIMENT_ROWS = 24
-"""Largest number of rows with one output of one experiment each; otherwise a row is an output."""
+"""Largest number of rows for single outputs of experiments; otherwise a row is an output."""
 ROW_PIXELS = 22
 FitStage = Literal["before", "after"]
 
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """The errors of a run over one measure of their size.
+    """The errors of a run relative to a measure of their size.
 
     Attributes
     ----------
     measure
-        What they are divided by, in words.
+        Name of the divisor.
     is_noise
-        Whether that is the noise, so that 1 is as good as a model can be.
+        Whether the divisor is the noise, so that no model can be better than 1.
     rows
-        Of errors.parquet.
+        Rows of errors.parquet.
     divisors
-        For each row, what its normalised error is divided by once more.
+        Additional divisor of each row's normalised error.
     """
 
     measure: str
@@ -61,17 +61,17 @@ class ErrorSizes:
     divisors: tuple[float, ...] = field(repr=False)
 
     def of(self, chosen: Sequence[int], when: FitStage) -> float:
-        """Root mean square over the samples of some rows; NaN where one of them failed."""
+        """Return the root mean square over the samples of some rows; NaN if one of them failed."""
         name = f"{'normalised' if self.is_noise else 'relative'}_{when}"
         return _pooled([self.rows[i] for i in chosen], name, [self.divisors[i] for i in chosen])
 
     def noise(self, row: int) -> float:
-        """The noise of a row's output in its unit; NaN where it is not known."""
+        """Return the noise of a row's output in its unit; NaN if unknown."""
         own, size = self.rows[row], self.of([row], "after")
         return own["rmse_after"] / size if self.is_noise and size > 0.0 else math.nan
 
     def words(self, size: float) -> str:
-        """A size of an error in words: "1.02 times the noise"."""
+        """Return the size of an error in words, such as "1.02 times the noise"."""
         return (
             f"{digits(size, 3)} times the noise"
             if self.is_noise
@@ -79,7 +79,7 @@ class ErrorSizes:
         )
 
     def said(self, chosen: Sequence[int]) -> str:
-        """The error of some rows, in the unit of their output, and over its measure."""
+        """Return the error of some rows in words, in the unit of their output and relative."""
         size = self.of(chosen, "after")
         own = [self.rows[i] for i in chosen]
         if math.isnan(size):
@@ -90,12 +90,12 @@ class ErrorSizes:
         return f"error {digits(_pooled(own, 'rmse_after'), 3)}{unit}, {self.words(size)}"
 
     def of_role(self, role: str) -> list[int]:
-        """The rows of training or of held-out experiments."""
+        """Return the rows of training or of held-out experiments."""
         return [i for i, row in enumerate(self.rows) if row["role"] == role]
 
 
 def error_sizes(run: ReportedRun) -> ErrorSizes:
-    """Measure the errors by the noise where it is known, else by the signals' own size."""
+    """Return the errors relative to the noise if known, otherwise to the size of the signals."""
     rows = run.tables["errors"]
     if run.is_loop:
         measure = {
@@ -121,7 +121,7 @@ def error_sizes(run: ReportedRun) -> ErrorSizes:
 
 
 def _noise(output: Mapping[str, Any] | None) -> float:
-    """The noise of an output in sigmas, NaN where it is not known."""
+    """Return the noise of an output in units of sigma, NaN if unknown."""
     if output is None:
         return math.nan
     if output["declared"]:
@@ -131,7 +131,7 @@ def _noise(output: Mapping[str, Any] | None) -> float:
 
 
 def error_sentence(run: ReportedRun) -> str:
-    """Compare the errors before and after with the noise, on training and held-out experiments."""
+    """Compare the errors before and after with the noise, for training and held-out experiments."""
     sizes = error_sizes(run)
     parts: list[str] = []
     last = ""
@@ -152,7 +152,7 @@ def error_sentence(run: ReportedRun) -> str:
 
 
 def error_picture(run: ReportedRun) -> FigureBlock | None:
-    """Before, after and noise of each output of each experiment; None without errors."""
+    """Return the picture of errors before and after, and of noise; None without errors."""
     sizes = error_sizes(run)
     groups = _groups(sizes)
     if not groups:
@@ -185,7 +185,7 @@ def error_picture(run: ReportedRun) -> FigureBlock | None:
 
 
 def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
-    """Rows of the picture: names, and which errors are taken together."""
+    """Return the rows of the picture: names, and the errors that each of them combines."""
     found: dict[str, list[int]] = {}
     single = len({row["output"] for row in sizes.rows}) == 1
     for i, row in enumerate(sizes.rows):
@@ -208,11 +208,11 @@ MOST_UNFOLDED_ROWS = 24
 
 
 MOST_OUTPUT_ROWS = 6
-"""Rows of the table by output: the largest errors."""
+"""Number of rows of the table by output, which has the largest errors."""
 
 
 def error_table(run: ReportedRun) -> list[Block]:
-    """The error of each output over all experiments, in its unit and over its measure."""
+    """Return a table of the error of each output over all experiments, in its unit and relative."""
     sizes = error_sizes(run)
     outputs: dict[tuple[str, str], list[int]] = {}
     for i, row in enumerate(sizes.rows):
@@ -246,7 +246,7 @@ def _output_line(sizes: ErrorSizes, chosen: Sequence[int]) -> TableLine:
 
 
 def errors(run: ReportedRun) -> ReportSection:
-    """A picture of the errors beside the noise, and a table by output and experiment."""
+    """Return the section with a picture of errors and noise, and a table of errors."""
     rows = run.tables["errors"]
     if not rows:
         return ReportSection("errors", "Errors", ())
@@ -276,11 +276,11 @@ def _table(rows: Sequence[Row], *, folded: bool) -> TableBlock:
 
 
 def _pooled(rows: Sequence[Row], name: str, divisors: Sequence[float] = ()) -> float:
-    """Root mean square over the samples of some rows, each over its divisor; NaN without any."""
+    """Return the root mean square over samples of rows, over divisors; NaN without samples."""
     sizes = [
         (row["samples"], row[name] / divisor)
         for row, divisor in zip(rows, divisors or repeat(1.0), strict=False)
-        if row["samples"]  # others have no error, and have not failed
+        if row["samples"]  # rows without samples have no error, but did not fail
     ]
     squares, samples = sum(n * size**2 for n, size in sizes), sum(n for n, _ in sizes)
     return math.sqrt(squares / samples) if samples else math.nan

@@ -1,6 +1,6 @@
-"""The first screen of a report: what was found, how sure it is, and how well it follows the data.
+"""The first screen of a report: the result, its certainty, and the agreement with the data.
 
-Words stand on the left and pictures on the right; a narrow screen shows them below each other.
+Texts are on the left and pictures on the right; on a narrow screen, pictures are below the texts.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from cluster_est.html_report.parameter_sections import order_of_estimation, rank
 from cluster_est.html_report.reported_run import ReportedRun, Row
 
 MOST_PARAMETERS = 8
-"""Rows of the table of parameters; the section on them has all."""
+"""Number of rows of the table of parameters; the section on parameters has all."""
 
 
 @dataclass(frozen=True)
 class FirstScreen:
-    """What stands beside each other below the headline; `more` is below what to do next."""
+    """Contents side by side below the headline; `more` is below the next steps."""
 
     words: tuple[Block, ...]
     pictures: tuple[FigureBlock, ...]
@@ -37,7 +37,7 @@ class FirstScreen:
 
 
 def first_screen(run: ReportedRun, charts: RecordCharts) -> FirstScreen:
-    """Put the answer of a run together; nothing where it has none yet."""
+    """Return the main results of a run; empty if it has none yet."""
     if run.is_design:
         return FirstScreen(tuple(design_table(run)), tuple(design_pictures(run)))
     if run.is_sensitivity:
@@ -51,7 +51,7 @@ def first_screen(run: ReportedRun, charts: RecordCharts) -> FirstScreen:
 
 
 def parameter_table(run: ReportedRun) -> list[Block]:
-    """Each shared estimate with its 95 % interval as +- and as a share, and what it is."""
+    """Return the shared estimates with absolute and relative 95 % intervals, and meanings."""
     rows = [row for row in run.tables["parameters"] if row["estimated_on"] != "known"]
     shared = [row for row in rows if row.get("scope", "shared") == "shared"]
     chosen = (shared or rows)[:MOST_PARAMETERS]
@@ -68,7 +68,7 @@ def parameter_table(run: ReportedRun) -> list[Block]:
 
 
 def _line(row: Row, words: dict[str, str]) -> tuple[str | TableCell, ...]:
-    """A row of the table of parameters."""
+    """Return a row of the table of parameters."""
     sure: tuple[str | TableCell, str]
     half = 0.5 * (row["upper95"] - row["lower95"])
     what = row.get("description") or words.get(row["label"].partition(".")[0], "")

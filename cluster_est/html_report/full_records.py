@@ -1,7 +1,7 @@
-"""Every sample of a record, packed into the page for whoever zooms in.
+"""All samples of a record, packed into the page for zooming.
 
-A chart shows at most two samples of a curve for each of its columns. The page's script draws what
-is here instead, once a reader has zoomed in.
+A chart shows at most two samples of a curve in each column. When a reader has zoomed in, the page's
+script draws these samples instead.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from workers.messages import FloatArray
 
 MOST_BYTES = 800_000
-"""Characters that all records of a page take together; those with the largest errors come first."""
+"""Number of characters of all records of a page together; the largest errors come first."""
 UNEVEN = 1e-3
-"""Steps by which samples may be off their even places without being drawn elsewhere."""
+"""Largest deviation of samples from even spacing, in steps, that is ignored."""
 
 
 class Samples(Protocol):
-    """What was measured and simulated at the same times; see `OutputCurves`."""
+    """Measured and simulated values at the same times; see `OutputCurves`."""
 
     @property
     def time(self) -> FloatArray: ...
@@ -41,15 +41,16 @@ class FullRecord:
     Attributes
     ----------
     id
-        Its name on the page.
+        Name of the record on the page.
     begin
         First time, in the unit of the chart.
     step
-        Between samples; 0 where they are not evenly spaced: then the steps are the first curve.
+        Step between samples; 0 if they are not evenly spaced, and then the first curve contains the
+        steps.
     curves
-        Names of the curves, whose samples stand behind each other.
+        Names of the curves, whose samples are concatenated.
     text
-        All of them, little-endian.
+        All samples, little-endian.
     """
 
     id: str
@@ -60,14 +61,14 @@ class FullRecord:
 
 
 def full_records(records: Mapping[str, Samples], order: Iterable[str]) -> dict[str, FullRecord]:
-    """Pack records until the page holds `MOST_BYTES` of them.
+    """Pack the records that fit into `MOST_BYTES`.
 
     Parameters
     ----------
     records
-        By the name that each has on the page, with times in the unit of its chart.
+        Records by their names on the page, with times in the unit of their charts.
     order
-        Names of those to pack, the one that a reader wants first at the beginning.
+        Names of the records to pack, the most important first.
     """
     found: dict[str, FullRecord] = {}
     room = MOST_BYTES

@@ -1,4 +1,4 @@
-"""What a run has found, in words: a headline, a few sentences, and what to do next."""
+"""The result of a run in words: a headline, a few sentences, and next steps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cluster_est.run_folder.run_files import RunStatus, run_worth
 
 @dataclass(frozen=True)
 class ReportSummary:
-    """The words at the head of the page: verdict, sentences, next steps and notes."""
+    """The texts at the head of the page: verdict, sentences, next steps and notes."""
 
     verdict: str
     tone: Tone
@@ -38,11 +38,11 @@ ENDINGS: dict[str, tuple[str, Tone]] = {
     RunStatus.RUNNING: ("The run is in progress", ""),
 }
 NEAR_NOISE = 1.5
-"""Error over the noise up to which a fit follows the data as well as the noise allows."""
+"""Ratio of error to noise up to which a fit follows the data as well as the noise allows."""
 
 
 def summarise(run: ReportedRun) -> ReportSummary:
-    """Put the result of a run into words."""
+    """Return a summary of the result of a run in words."""
     verdict, tone = _verdict(run)
     sentences = [*_opening(run), *_fitted(run), *_bounds(run), *_failed(run)]
     said = run.facts.get("notes") or ()
@@ -81,17 +81,17 @@ def _is_near_noise(run: ReportedRun) -> bool:
 
 
 def _with_errors(run: ReportedRun, verdict: str) -> str:
-    """A verdict with the errors of training and of held-out experiments."""
+    """Return a verdict with the errors of training and of held-out experiments."""
     sizes = error_sizes(run)
     train, test = (sizes.said(sizes.of_role(role)) for role in ("train", "test"))
-    of = " the noise" if sizes.is_noise else " of the signal"  # once is enough
+    of = " the noise" if sizes.is_noise else " of the signal"  # not repeated for held-out errors
     held_out = f"held out {test.removeprefix('error ').removesuffix(of)}" if test else ""
     said = "; ".join(filter(None, [train, held_out]))
     return f"{verdict}: {said}" if said else verdict
 
 
 def _ranked(run: ReportedRun) -> str:
-    """What a sensitivity analysis ranks first."""
+    """Return the parameter that a sensitivity analysis ranks first."""
     rows = [row for row in run.tables["ranking"] if row["value"] is not None]
     known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
     if not known:
@@ -103,7 +103,7 @@ def _ranked(run: ReportedRun) -> str:
 
 
 def _designed(run: ReportedRun) -> str:
-    """What the next experiment is expected to show, in a few words."""
+    """Return the expected result of the next experiment in a few words."""
     design = run.facts["design"]
     said = f"The next experiment: {design['waveform']}, {design['duration']:.4g} s"
     rows = [row for row in run.tables["probabilities"] if not math.isnan(row["after"])]
@@ -134,7 +134,7 @@ LIKELY = 0.9
 
 
 def _fitted(run: ReportedRun) -> list[str]:
-    """Return sentences on what is doubtful, what was fitted to what, and how the error went."""
+    """Return sentences on doubts, on the fitted data, and on the change of the error."""
     if not run.finished:
         return []
     doubts = [] if run.is_loop else [_sentence(each) for each in run.facts.get("doubts") or ()]
@@ -154,7 +154,7 @@ NOT_HELD_OUT = "No experiment is held out, so it is not known how well the model
 
 
 def _opening(run: ReportedRun) -> list[str]:
-    """Return sentences on what else a run says of itself."""
+    """Return the first sentences about a run."""
     facts = run.facts
     if run.is_sensitivity:
         of_all, together = len(run.tables["ranking"]), facts["sensitivity"]["together"]
@@ -162,7 +162,7 @@ def _opening(run: ReportedRun) -> list[str]:
         said = f"At the start values, {how_many} of {of_all} unknowns can be estimated together."
         return [said] if together and of_all > 1 else []
     if run.is_design:
-        how, _, expected = facts["design"]["summary"].partition(": ")  # the headline says how
+        how, _, expected = facts["design"]["summary"].partition(": ")  # the headline has it
         return [_sentence(expected or how)]
     if run.is_loop:
         added = [] if facts.get("effects") else ["Nothing was added to the model."]
@@ -199,7 +199,7 @@ def _listed(names: list[str]) -> str:
 def _failed(run: ReportedRun) -> list[str]:
     total, failures = run.simulated
     tried = run.facts.get("failures_in_search", 0)
-    if not failures or tried == failures:  # the section on workers says it
+    if not failures or tried == failures:  # the section on workers contains it
         return []
     total = max(total, 1)
     share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
@@ -213,7 +213,7 @@ EXPORT = "cluster-est export RUN --fmu fitted.fmu"
 
 
 def _steps(run: ReportedRun) -> Iterator[NextStep]:
-    """Say what to do next, what matters most first."""
+    """Yield next steps, the most important first."""
     if run.is_design:
         yield NextStep("Run the experiment, write the measurements into its table, and fit again.")
     elif run.is_sensitivity:
@@ -257,7 +257,7 @@ def _after_fit(run: ReportedRun) -> Iterator[NextStep]:
 
 
 def _sentence(text: str) -> str:
-    """With a capital and a full stop."""
+    """Return a text with a capital letter and a full stop."""
     text = text.strip()
     if not text:
         return ""

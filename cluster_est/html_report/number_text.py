@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: no more digits than they are worth, times in fit units."""
+"""Numbers for readers: with significant digits only, and times in suitable units."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FIXED_FROM, FIXED_TO = 1e-4, 1e6
 
 
 def digits(value: float | None, count: int = 4) -> str:
-    """A number to so many significant digits; a dash for a missing one."""
+    """Return a number with `count` significant digits; a dash for a missing number."""
     if value is None or math.isnan(value):
         return NO_NUMBER
     if math.isinf(value):
@@ -27,12 +27,12 @@ def digits(value: float | None, count: int = 4) -> str:
 
 
 def compact(value: float) -> str:
-    """To three digits, without zeros behind them: for what a person has chosen, like a bound."""
+    """Return a number with three digits and without trailing zeros, for values like bounds."""
     return digits(value) if math.isinf(value) else _signed(f"{value:.3g}")
 
 
 def beside(value: float | None, width: float) -> str:
-    """A number to two digits of the width of its interval, and four digits at least."""
+    """Return a number with two digits of its interval's width, and at least four digits."""
     if value is None or not math.isfinite(value) or not 0.0 < width < math.inf:
         return digits(value)
     if value == 0.0:
@@ -42,7 +42,7 @@ def beside(value: float | None, width: float) -> str:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """The two ends of an interval; a dash for a missing one."""
+    """Return the two ends of an interval; a dash for a missing end."""
     if low is None or high is None or math.isnan(low) or math.isnan(high):
         return NO_NUMBER
     width = high - low
@@ -50,19 +50,19 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def count(value: float) -> str:
-    """A whole number, its thousands apart."""
+    """Return an integer with separated thousands."""
     return f"{value:,.0f}".replace(",", "\u202f")
 
 
 def percent(share: float | None, count: int = 3) -> str:
-    """A share as per cent, to so many significant digits."""
+    """Return a share in per cent, with `count` significant digits."""
     if share is None or math.isnan(share):
         return NO_NUMBER
     return f"{digits(100.0 * share, count if abs(share) < 10.0 else 4)}\u2009%"
 
 
 def duration(seconds: float) -> str:
-    """A time span in the units in which one thinks of it."""
+    """Return a duration in a suitable unit."""
     if seconds < 60.0:
         return f"{digits(seconds, 3)} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -79,7 +79,7 @@ def _signed(text: str) -> str:
 @final
 @dataclass(frozen=True)
 class TimeUnit:
-    """A unit of time: how it is written, and its seconds."""
+    """A unit of time: its name, and its length in seconds."""
 
     name: str
     seconds: float
@@ -91,10 +91,10 @@ TIME_UNITS = (
     (5.0 * 3600.0, TimeUnit("min", 60.0)),
     (4.0 * 86400.0, TimeUnit("h", 3600.0)),
 )
-"""Each with the span in seconds up to which it is used."""
+"""Units of time, with the largest span in seconds for which each is used."""
 DAYS = TimeUnit("days", 86400.0)
 
 
 def time_unit(span: float) -> TimeUnit:
-    """The unit for times that span so many seconds."""
+    """Return the unit for times with a span in seconds."""
     return next((unit for most, unit in TIME_UNITS if span <= most), DAYS)

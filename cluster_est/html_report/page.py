@@ -1,4 +1,4 @@
-"""The page: a head in sentences and sections, made of a run's folder, as one HTML file."""
+"""The page: a summary in sentences and sections, made from a run's folder, as one HTML file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cluster_est.whole_files import ELSEWHERE, write_whole
 
 
 def rendered(template: str, **values: Any) -> str:
-    """Fill a template, with the style, the script and the policy that every page has."""
+    """Fill a template with values, and with the common style, script and policy."""
     script = _asset("report.js") + _asset("pictures.js")
     return (
         _environment()
@@ -43,12 +43,12 @@ def rendered(template: str, **values: Any) -> str:
 
 
 def write_page(path: Path, text: str) -> None:
-    """Write a file in one step.
+    """Write a file atomically.
 
     Raises
     ------
     RunFolderError
-        If it is a folder or cannot be written.
+        If the path is a folder or cannot be written.
     """
     if path.is_dir():
         raise RunFolderError(f"{path}: must be a file but is a folder; choose another --out")
@@ -56,7 +56,7 @@ def write_page(path: Path, text: str) -> None:
 
 
 def _policy(script: str) -> str:
-    """Nothing may be fetched, and only this script may run."""
+    """Return a policy under which nothing is fetched, and only this script may run."""
     return (
         f"default-src 'none'; script-src 'sha256-{_sha256(script)}'; style-src 'unsafe-inline'; "
         "img-src data:; base-uri 'none'; form-action 'none'"
@@ -93,23 +93,23 @@ def write_report(
     reload: float | None = None,
     activity: LogActivity | None = None,
 ) -> Path:
-    """Write the report of a run, in one step.
+    """Write the report of a run, atomically.
 
     Parameters
     ----------
     run_folder
-        Of a run that is finished, interrupted or still going on.
+        Folder of a run that is finished, interrupted or running.
     out
         The file to write; report.html in the folder if None.
     reload
-        Seconds after which the page loads itself again, while the run goes on.
+        Seconds after which the page reloads itself while the run continues.
     activity
-        What its log says, where that has been read already.
+        Contents of its log, if already read.
 
     Returns
     -------
     Path
-        What was written.
+        The written file.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def write_report(
 
 
 def render(run: ReportedRun, reload: float | None = None) -> str:
-    """The page as text; the same run gives the same page."""
+    """Return the page as text; the same run gives the same page."""
     charts = RecordCharts(run)
     records = charts.full()
     sections = (

@@ -30,7 +30,7 @@ class ItemsBlock:
 
 @dataclass(frozen=True)
 class ReportColumn:
-    """A column of a table; `numeric` ones are aligned to the right."""
+    """A column of a table; `numeric` columns are aligned to the right."""
 
     name: str
     numeric: bool = False
@@ -38,9 +38,9 @@ class ReportColumn:
 
 @dataclass(frozen=True)
 class TableCell:
-    """`code` is set in a fixed width, for names of the FMU and equations.
+    """A cell of a table; with `code`, in a fixed-width font for FMU names and equations.
 
-    `more` stands below it, and `link` is where a click on it leads.
+    `more` is written below it, and `link` is the target of a click on it.
     """
 
     text: str
@@ -55,7 +55,7 @@ TableLine = tuple[str | TableCell, ...]
 
 @dataclass(frozen=True)
 class TableBlock:
-    """`folded` ones open with a click; `caption` stands above, or on what is clicked."""
+    """A table; a `folded` table opens with a click on its `caption`, otherwise above it."""
 
     columns: tuple[ReportColumn, ...]
     rows: tuple[tuple[TableCell, ...], ...]
@@ -66,7 +66,7 @@ class TableBlock:
 
 @dataclass(frozen=True)
 class FigureBlock:
-    """A chart under its title; `note` says how to read it."""
+    """A chart with its title; `note` explains how to read it."""
 
     id: str
     title: str
@@ -77,7 +77,7 @@ class FigureBlock:
 
 @dataclass(frozen=True)
 class GridBlock:
-    """Small figures beside each other."""
+    """Small figures side by side."""
 
     figures: tuple[FigureBlock, ...]
     kind: str = "grid"
@@ -85,7 +85,7 @@ class GridBlock:
 
 @dataclass(frozen=True)
 class NextStep:
-    """What to do next, with the command that does it."""
+    """A next step, with the command that performs it."""
 
     text: str
     command: str = ""
@@ -98,11 +98,11 @@ class CurvePanel:
     Attributes
     ----------
     experiment, output
-        Whose curves.
+        Names of the experiment and the output.
     note
-        What stands behind these names: the role of the experiment and its errors.
+        Text after these names: the role of the experiment and its errors.
     chart
-        What was fed in, measured and simulated, and the residuals below.
+        Inputs, measured and simulated output, and the residuals below.
     """
 
     experiment: str
@@ -113,9 +113,9 @@ class CurvePanel:
 
 @dataclass(frozen=True)
 class PanelsBlock:
-    """Curves of many experiments as small charts, of which the reader enlarges those of interest.
+    """Curves of many experiments as small charts, which the reader may enlarge.
 
-    `curves` has the name and the ink of each curve that is drawn in them.
+    `curves` contains the name and the ink of each curve in them.
     """
 
     panels: tuple[CurvePanel, ...]
@@ -129,7 +129,7 @@ class PanelsBlock:
 
 @dataclass(frozen=True)
 class MapCell:
-    """A cell of a map: from -1 to 1, None for nothing; `text` is shown where there is room."""
+    """A cell of a map: from -1 to 1, None if empty; `text` is shown if there is space."""
 
     value: float | None
     text: str = ""
@@ -149,7 +149,7 @@ class MapBlock:
 
 @dataclass(frozen=True)
 class SourceBlock:
-    """A text as it stands in a file, folded."""
+    """The text of a file, folded."""
 
     title: str
     text: str
@@ -170,7 +170,7 @@ Block = (
 
 @dataclass(frozen=True)
 class ReportSection:
-    """A part of the page; nothing of it is shown where it has no blocks."""
+    """A section of the page; it is not shown if it has no blocks."""
 
     id: str
     title: str
@@ -180,7 +180,7 @@ class ReportSection:
 def table(
     names: Sequence[str], rows: Iterable[TableLine], caption: str = "", *, folded: bool = False
 ) -> TableBlock:
-    """A table; the column "#name" is a numeric one, and a text is a plain cell."""
+    """Return a table; a column "#name" is numeric, and a text becomes a plain cell."""
     columns = tuple(ReportColumn(name.removeprefix("#"), name.startswith("#")) for name in names)
     cells = (
         tuple(each if isinstance(each, TableCell) else TableCell(each) for each in row)
@@ -190,10 +190,10 @@ def table(
 
 
 def code(text: str) -> TableCell:
-    """A cell with a name of the FMU, or an equation."""
+    """Return a cell with a name of the FMU, or an equation."""
     return TableCell(text, code=True)
 
 
 def with_unit(name: str, unit: str) -> str:
-    """The name of a quantity with its unit, where that is known."""
+    """Return the name of a quantity with its unit, if known."""
     return f"{name} ({unit})" if unit else name

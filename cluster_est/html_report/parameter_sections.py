@@ -1,4 +1,4 @@
-"""What is known of the parameters: estimates, correlations, or how much each of them matters."""
+"""Sections on parameters: estimates and correlations, or their influence."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from workers.messages import FloatArray
 MOST_IN_MAP = 60
 MOST_UNFOLDED_PARAMETERS = 30
 STRONG = 0.95
-"""Correlation beyond which two parameters are named."""
+"""Correlation above which two parameters are named."""
 
 
 def parameters(run: ReportedRun) -> ReportSection:
-    """Tables of estimates, intervals, constraints; correlations; directions."""
+    """Return the section with estimates, intervals, constraints, correlations and directions."""
     rows = run.tables["parameters"]
     if not rows:
         return ReportSection("parameters", "Parameters", ())
@@ -171,7 +171,7 @@ def _map(labels: list[str], rows: tuple[Row, ...]) -> MapBlock:
     small = len(labels) <= 14
     lines = tuple(
         (labels[j], tuple(_cell(labels, matrix, i, j, small=small) for i in range(len(labels) - 1)))
-        for j in range(1, len(labels))  # below the diagonal: the rest says the same again
+        for j in range(1, len(labels))  # below the diagonal, because the map is symmetric
     )
     return MapBlock(
         "Correlations",
@@ -191,7 +191,7 @@ def _cell(labels: list[str], matrix: FloatArray, i: int, j: int, *, small: bool)
 
 
 MOST_RANKED, MOST_UNKNOWNS_OVER_TIME, MOST_OUTPUTS_OVER_TIME = 40, 6, 12
-"""Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
+"""Largest numbers of unknowns in the ranking, and of unknowns and outputs over time."""
 
 RANKING_NOTE = (
     "The error bars are 95 % intervals; a parameter with an index of 0 does not change the cost."
@@ -202,7 +202,7 @@ TIME_NOTE = (
 
 
 def sensitivity(run: ReportedRun) -> ReportSection:
-    """The parameters that matter over time; nothing for other runs than a sensitivity analysis."""
+    """Return the section of a sensitivity analysis on influence over time; empty for other runs."""
     rows = run.tables["ranking"]
     found = run.facts.get("sensitivity") or {}
     blocks = _over_time(run, found["ranks"]) if rows and found else []
@@ -210,7 +210,7 @@ def sensitivity(run: ReportedRun) -> ReportSection:
 
 
 def ranking_picture(run: ReportedRun) -> list[FigureBlock]:
-    """What a sensitivity analysis ranks, with its intervals, for the head of a page."""
+    """Return the ranking of a sensitivity analysis with intervals, for the head of a page."""
     rows, ranks = run.tables["ranking"], run.facts["sensitivity"]["ranks"]
     known = [row for row in rows if math.isfinite(row["value"])][:MOST_RANKED]
     if not known:
@@ -232,7 +232,7 @@ def ranking_picture(run: ReportedRun) -> list[FigureBlock]:
 
 
 def order_of_estimation(run: ReportedRun) -> list[Block]:
-    """The table of the order of estimation, for the head of a page."""
+    """Return the table of the order of estimation, for the head of a page."""
     rows = run.tables["ranking"]
     ordered = sorted(rows, key=lambda row: (row["position"] < 0, row["position"]))
     lines = [
@@ -245,7 +245,7 @@ def order_of_estimation(run: ReportedRun) -> list[Block]:
 
 
 def _over_time(run: ReportedRun, ranks: str) -> list[Block]:
-    """A chart for each output of each experiment, of the parameters that matter most in it."""
+    """Return a chart of the most influential parameters for each output of each experiment."""
     index = ranks.partition(" of ")[0]
     found: dict[tuple[str, str], dict[str, list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in run.tables["indices"]:

@@ -1,4 +1,4 @@
-"""What was measured, simulated and fed in, of each output of each experiment of a run."""
+"""Measured, simulated and input signals of each output of each experiment of a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True)
 class SignalCurve:
-    """An input or a state of an experiment: straight lines between samples, steps drawn as such."""
+    """An input or a state of an experiment, piecewise linear between samples, including steps."""
 
     name: str
     unit: str
@@ -28,11 +28,11 @@ class SignalCurve:
 
 @dataclass(frozen=True)
 class OutputCurves:
-    """One output of one experiment: what was measured and simulated, at the measured times.
+    """One output of one experiment, measured and simulated at the measured times.
 
-    `before` is NaN where it is not known; `fine` are the simulated curves with a time of their own,
-    as time, after and before; `band` is where the output lies by the posterior; `inputs` are those
-    of the experiment that do not stay the same, and `states` those of the model, where known.
+    `before` is NaN if unknown. `fine` contains the simulated curves with their own times: time,
+    after and before. `band` contains limits of the output from the posterior. `inputs` are the
+    non-constant inputs of the experiment, and `states` those of the model, if known.
     """
 
     role: str
@@ -54,7 +54,7 @@ class OutputCurves:
 
     @property
     def has_times(self) -> bool:
-        """False of the points of a curve, which belong to none."""
+        """Whether there are times; points of a curve have none."""
         return bool(np.isfinite(self.time).any())
 
 
@@ -68,7 +68,7 @@ def recorded_curves(
     tables
         residuals, trajectories, predictions, inputs and states, as far as the run has them.
     experiment
-        The only one that is read; all if None.
+        The only experiment to read; all if None.
     """
 
     def parts(name: str, of: str = "output") -> dict[Key, pa.Table]:
@@ -95,7 +95,7 @@ def recorded_curves(
 def _signals(
     parts: Mapping[Key, pa.Table], kept: Callable[[FloatArray], bool] = lambda _: True
 ) -> dict[str, list[SignalCurve]]:
-    """What was fed in, or what the states were, of each experiment, as far as it is kept."""
+    """Return the stored inputs or states of each experiment."""
     found: dict[str, list[SignalCurve]] = {}
     for (experiment, name), part in parts.items():
         time, value = _column(part, "time"), _column(part, "value")
@@ -115,7 +115,7 @@ def _curves(
     inputs: tuple[SignalCurve, ...],
     states: tuple[SignalCurve, ...],
 ) -> OutputCurves:
-    """The rows of one output of one experiment as curves."""
+    """Return the rows of one output of one experiment as curves."""
     time, measured, after, before, residual = (
         _column(table, name)
         for name in ("time", "measured", "simulated", "simulated_before", "residual")
@@ -133,7 +133,7 @@ def _curves(
 
 
 def _parts(table: pa.Table | None, of: str = "output") -> dict[Key, pa.Table]:
-    """The rows of each output of each experiment, which stand behind each other in the table."""
+    """Return the rows of each output of each experiment, which are consecutive in the table."""
     if table is None or not {"experiment", of} <= set(table.column_names) or not table.num_rows:
         return {}
     encoded = [table[name].combine_chunks().dictionary_encode() for name in ("experiment", of)]
@@ -149,7 +149,7 @@ def _parts(table: pa.Table | None, of: str = "output") -> dict[Key, pa.Table]:
 
 
 def _column(table: pa.Table, name: str) -> FloatArray:
-    """A column with NaN for what is not there."""
+    """Return a column with NaN for missing values."""
     if name not in table.column_names:
         return np.full(table.num_rows, np.nan)
     return np.asarray(pc.cast(table[name], pa.float64()).to_numpy(), np.float64)

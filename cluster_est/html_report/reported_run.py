@@ -1,4 +1,4 @@
-"""A run folder, read: whatever is there of it."""
+"""The contents of a run folder for a report, as far as they exist."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ class ReportedRun:
     Attributes
     ----------
     name
-        Of the folder.
+        Name of the folder.
     facts
-        As run.json has them.
+        Contents of run.json.
     config
-        The resolved config as text, "" if it is not there.
+        The resolved config as text, "" if it is missing.
     tables
-        The rows of each small table, by its name; a table that is not there has none. "progress"
-        has the lines of all searches in the order in which they came.
+        Rows of each small table, by name; empty for a missing table. "progress" has the lines of
+        all searches in order of time.
     wide
-        residuals, trajectories, predictions, inputs and states; None for what is not there.
+        residuals, trajectories, predictions, inputs and states; None for a missing table.
     activity
-        What the log says of workers and failures.
+        Workers and failures from the log.
     """
 
     name: str
@@ -63,7 +63,7 @@ class ReportedRun:
 
     @cached_property
     def curves(self) -> dict[Key, OutputCurves]:
-        """What was measured and simulated, by experiment and output."""
+        """Measured and simulated values, by experiment and output."""
         return recorded_curves(self.wide)
 
     @property
@@ -72,22 +72,22 @@ class ReportedRun:
 
     @property
     def is_running(self) -> bool:
-        """True while the run has not ended, as far as it has said."""
+        """Whether the run has the status running."""
         return self.status == RunStatus.RUNNING
 
     @property
     def finished(self) -> bool:
-        """True if there are results of a fit or a loop."""
+        """Whether there are results of a fit or a loop."""
         return bool(self.tables["parameters"])
 
     @property
     def is_sensitivity(self) -> bool:
-        """True for a sensitivity analysis that has ended."""
+        """Whether it is a finished sensitivity analysis."""
         return bool(self.facts.get("sensitivity"))
 
     @property
     def is_design(self) -> bool:
-        """True for a design that has ended."""
+        """Whether it is a finished design."""
         return bool(self.facts.get("design"))
 
     @property
@@ -96,14 +96,14 @@ class ReportedRun:
 
     @property
     def simulated(self) -> tuple[int, int]:
-        """Simulations and failures by the log, or by run.json where the run has no log."""
+        """Numbers of simulations and failures from the log, or from run.json without a log."""
         if self.activity.simulations:
             return self.activity.simulations, sum(e.count for e in self.activity.failures)
         return int(self.facts.get("simulations") or 0), int(self.facts.get("failures") or 0)
 
     @property
     def kind(self) -> str:
-        """The word for it at the head of the page."""
+        """The kind of run in words, for the head of the page."""
         if self.is_design:
             return "Design"
         if self.is_sensitivity:
@@ -112,28 +112,28 @@ class ReportedRun:
 
     @property
     def too_narrow(self) -> bool:
-        """True where the residuals of a fit deny its intervals, or a loop says what they lack."""
+        """Whether residuals show that the intervals are too narrow, or a loop is unexplained."""
         if self.is_loop:
             return bool(self.facts["verdict"] == "unexplained")
         return bool((self.facts.get("residuals") or {}).get("too_narrow"))
 
     @property
     def before(self) -> str:
-        """The model that curves and errors "before" are of."""
+        """The model of the curves and errors "before"."""
         return "fitted declared model" if self.is_loop else "start values"
 
 
 def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
-    """Read a run folder; its log only if `activity` is not known already.
+    """Read a run folder; its log is read only if `activity` is None.
 
     Raises
     ------
     RunFolderError
-        If it is no run folder, or one of its tables is damaged.
+        If it is not a run folder, or one of its tables is damaged.
     """
     stored = read_stored_run(path, SMALL_TABLES)
     facts, running = stored.facts, stored.facts["status"] == RunStatus.RUNNING
-    # tables without facts of theirs are those of an earlier run in a folder that is taken up again
+    # without facts, tables belong to an earlier run in a folder that is resumed
     before = running and facts.get("verdict") is None
     tables = {name: () if before else tuple(rows) for name, rows in stored.tables.items()}
     progress = ProgressTail(path / PROGRESS)
@@ -154,12 +154,12 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
 
 
 def read_results(path: Path) -> ReportedRun:
-    """Read what a run has found, without its curves, its searches and its log.
+    """Read the results of a run, without its curves, searches and log.
 
     Raises
     ------
     RunFolderError
-        If it is no run folder, or damaged.
+        If it is not a run folder, or damaged.
     """
     stored = read_stored_run(path, ("parameters", "errors"))
     tables = {name: tuple(stored.tables.get(name, ())) for name in (*SMALL_TABLES, "progress")}

@@ -1,7 +1,7 @@
-"""What is left of each output: whether it looks like noise, and what it depends on if it does not.
+"""Residuals of each output: whether they are white noise, and otherwise on what they depend.
 
-All of it is of the training experiments together. White noise has no autocorrelation, is spread
-like a normal distribution, and has a mean of 0 whatever the time, the inputs and the output are.
+The section combines all training experiments. White noise has no autocorrelation, is normally
+distributed, and has a mean of 0 at any time and for any value of the inputs and the output.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ FEWEST_SAMPLES = 20
 MOST_LAGS, FEWEST_LAGS = 2000, 20
 DRAWN_LAGS = 100
 MOST_DOTS, MEANS, BINS = 300, 16, 30
-"""Samples that are drawn over a variable, their means over it, and bars of a histogram."""
+"""Numbers of samples drawn over a variable, of their means, and of bars of a histogram."""
 MOST_VARIABLES = 4
-"""Inputs that residuals are drawn over, and states: of these the ones over which they bend most."""
+"""Number of inputs over which residuals are drawn, and of states, by decreasing dependence."""
 ALIKE = 0.9999
-"""If its correlation with the output, its rate or an input is above this, a state is not drawn."""
+"""Correlation with the output, its rate or an input above which a state is not drawn."""
 COVERED = 1.96
 HEIGHT = 130
 NOTE = (
@@ -57,7 +57,7 @@ NOTE = (
 
 
 def residuals(run: ReportedRun) -> ReportSection:
-    """Autocorrelation, histogram, and residuals over time, output, rate, inputs and states."""
+    """Return autocorrelation, histogram, and residuals over time and other variables."""
     outputs: dict[str, list[OutputCurves]] = {}
     for (_, output), each in run.curves.items():
         known = np.isfinite(each.measured - each.after).sum()
@@ -76,7 +76,7 @@ def residuals(run: ReportedRun) -> ReportSection:
 
 
 def _size(records: list[OutputCurves]) -> float:
-    """Root mean square of the residuals, over sigma."""
+    """Return the root mean square of the residuals, in units of sigma."""
     joined = np.concatenate([each.residual for each in records])
     return float(np.sqrt(np.nanmean(joined**2)))
 
@@ -95,7 +95,7 @@ def _output(id_: str, name: str, unit: str, records: list[OutputCurves]) -> list
 def _autocorrelation(
     id_: str, rest: list[FloatArray], records: list[OutputCurves]
 ) -> list[FigureBlock]:
-    """Correlations of a residual with itself, at lags up to some times its correlation length."""
+    """Return the autocorrelation of a residual, up to a multiple of its correlation length."""
     parts = [np.nan_to_num(each) for each in rest]
     sums = lagged_products(parts)
     samples = sum(map(len, parts))
@@ -122,7 +122,7 @@ def _autocorrelation(
 
 
 def _histogram(id_: str, rest: list[FloatArray], label: str) -> FigureBlock:
-    """Where residuals lie, beside a normal distribution of the same spread."""
+    """Return the histogram of residuals with a normal distribution of the same spread."""
     values = np.concatenate(rest)
     values = values[np.isfinite(values)]
     spread = float(np.sqrt(np.mean(values**2))) or 1.0
@@ -142,11 +142,11 @@ def _histogram(id_: str, rest: list[FloatArray], label: str) -> FigureBlock:
 
 
 Variable = tuple[str, str, list[FloatArray]]
-"""Its name, its unit, and its values at the residuals of each record."""
+"""Name and unit of a variable, and its values at the residuals of each record."""
 
 
 def _variables(name: str, unit: str, records: list[OutputCurves]) -> list[Variable]:
-    """The time, the output, its rate, and each input that all records have."""
+    """Return the time, the output, its rate, and each input that all records have."""
     rates = [_rate(each) for each in records]
     found: list[Variable] = [
         ("time", "time (s)", [each.time for each in records]),
@@ -168,7 +168,7 @@ def _variables(name: str, unit: str, records: list[OutputCurves]) -> list[Variab
 def _states(
     records: list[OutputCurves], rest: list[FloatArray], others: list[Variable]
 ) -> list[Variable]:
-    """The states over which the means bend most; none that is another variable already."""
+    """Return the states on which residuals depend most, unless equivalent to another variable."""
     up, found = np.concatenate(rest), []
     known = [np.concatenate(values) for _, _, values in others]
     for name, unit in {s.name: s.unit for each in records for s in each.states}.items():
@@ -184,7 +184,7 @@ def _states(
 
 
 def _at_times(record: OutputCurves, name: str) -> FloatArray:
-    """A state at the measured times; NaN where it was not kept."""
+    """Return a state at the measured times; NaN if it was not stored."""
     for state in record.states:
         if state.name == name:
             at = np.searchsorted(state.time, record.time).clip(max=len(state.time) - 1)
@@ -200,7 +200,7 @@ def _alike(one: FloatArray, other: FloatArray) -> bool:
 
 
 def _bend(across: FloatArray, up: FloatArray) -> float:
-    """Share of the sum of squares that the means over a variable explain."""
+    """Return the share of the sum of squares explained by the means over a variable."""
     known = np.isfinite(across) & np.isfinite(up)
     across, up = across[known], up[known]
     total = float(np.sum(up**2))
@@ -210,7 +210,7 @@ def _bend(across: FloatArray, up: FloatArray) -> float:
 
 
 def _rate(each: OutputCurves) -> FloatArray:
-    """How fast the simulated output changes, at the measured times."""
+    """Return the rate of change of the simulated output at the measured times."""
     time, after = (each.time, each.after) if each.fine is None else each.fine[:2]
     time, first = np.unique(time, return_index=True)
     if len(time) < 3:
@@ -221,7 +221,7 @@ def _rate(each: OutputCurves) -> FloatArray:
 def _over(
     id_: str, name: str, below: str, x: list[FloatArray], rest: list[FloatArray], label: str
 ) -> FigureBlock | None:
-    """Residuals over a variable: some as dots, and means of all; None where it does not vary."""
+    """Return residuals over a variable: some dots, and means of all; None if it is constant."""
     across, up = np.concatenate(x), np.concatenate(rest)
     known = np.isfinite(across) & np.isfinite(up)
     across, up = across[known], up[known]

@@ -1,4 +1,4 @@
-"""Scales of charts: where values stand on a plot, and which of them are written beside it."""
+"""Scales of charts: positions of values in a plot, and their ticks."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from cluster_est.html_report.number_text import MINUS
 from workers.messages import FloatArray
 
 PLOT_UNITS = 10_000
-"""Places across a plot and up a plot: fine enough that a value read back has four digits."""
+"""Number of positions across a plot, fine enough to read back values with four digits."""
 
 LOG_FROM = 10.0
-"""A scale is logarithmic, if that is allowed, when the ratio of its ends is above this value."""
+"""A scale is logarithmic, if allowed, when the ratio of its ends is above this value."""
 
 LEAST_TICKS = 2
 
 MORE = 1.35
-"""A scale may have up to this multiple of the requested number of parts. With fewer allowed, it
-could have less than half of the requested number."""
+"""A scale may have up to this multiple of the requested number of parts. A smaller multiple could
+give less than half of the requested number."""
 
 
 @final
 @dataclass(frozen=True)
 class Scale:
-    """The values at both ends of a plot, which lie evenly between, or their logarithms do.
+    """The values at both ends of a plot, with a linear or logarithmic scale between them.
 
     Attributes
     ----------
     low, high
-        Different from each other; both positive where `log`.
+        Different from each other; both positive if `log`.
     log
-        Whether it is logarithmic.
+        Whether the scale is logarithmic.
     """
 
     low: float
@@ -49,7 +49,7 @@ class Scale:
         may_be_log: bool = False,
         least: float = 0.0,
     ) -> Self:
-        """A scale that holds all finite values, with a margin as a share of their range.
+        """Return a scale that contains all finite values, with a margin as a share of their range.
 
         Its range is at least the share `least` of the largest value, so that small differences of
         large numbers look small.
@@ -62,7 +62,7 @@ class Scale:
         if may_be_log and low > 0.0 and high / low > LOG_FROM:
             wider = (high / low) ** margin
             return cls(low / wider, high * wider, log=True)
-        if high - low <= 1e-12 * max(abs(low), abs(high)):  # nothing but rounding would fill it
+        if high - low <= 1e-12 * max(abs(low), abs(high)):  # the range is only rounding
             wider = 0.5 * abs(high) or 1.0
             return cls(low - wider, high + wider)
         missing = max(0.0, least * max(abs(low), abs(high)) - (high - low))
@@ -70,7 +70,7 @@ class Scale:
         return cls(low - wider, high + wider)
 
     def places(self, values: FloatArray) -> FloatArray:
-        """Return positions from 0 at the low end to `PLOT_UNITS` at the high one; NaN stays NaN."""
+        """Return positions from 0 at the low end to `PLOT_UNITS` at the high end; NaN stays NaN."""
         if self.log:
             with np.errstate(all="ignore"):
                 shares = np.log(values / self.low) / math.log(self.high / self.low)
@@ -78,11 +78,11 @@ class Scale:
         return np.asarray(PLOT_UNITS * (values - self.low) / (self.high - self.low))
 
     def ticks(self, count: int) -> tuple[tuple[float, str], ...]:
-        """About so many round values between both ends, two at least, and how they are written."""
+        """Return about `count` round values between both ends, at least two, with their labels."""
         if self.log:
             return self._powers(count)
         values: list[float] = []
-        while len(values) < LEAST_TICKS:  # one alone gives no measure of the scale
+        while len(values) < LEAST_TICKS:  # a single tick does not define the scale
             step = nice_step(self.high - self.low, count)
             first, last = math.ceil(self.low / step), math.floor(self.high / step)
             values = [step * number for number in range(first, last + 1)]
@@ -90,7 +90,7 @@ class Scale:
         return tuple((value, tick_text(value, step)) for value in values)
 
     def _powers(self, count: int) -> tuple[tuple[float, str], ...]:
-        """Powers of ten, with 2 and 5 between where there is room."""
+        """Return powers of ten, with 2 and 5 between them if there is space."""
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         for leading in ((1, 2, 5), (1, 3), (1,)):
             found = [m * 10.0**power for power in range(first, last + 1) for m in leading]
@@ -102,14 +102,14 @@ class Scale:
 
 
 def nice_step(span: float, count: int) -> float:
-    """The least of 1, 2 and 5 times a power of ten that cuts a span into about `count` parts."""
+    """Return the smallest of 1, 2 and 5 times a power of ten that gives about `count` parts."""
     raw = span / (MORE * max(1, count))
     power = 10.0 ** math.floor(math.log10(raw))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= raw * (1.0 - 1e-9))
 
 
 def tick_text(value: float, step: float) -> str:
-    """A multiple of a step, with as many digits as tell it from the next one."""
+    """Return a multiple of a step with enough digits to distinguish it from the next one."""
     if abs(value) < 1e-9 * step:
         return "0"
     size = max(abs(value), step)

@@ -1,4 +1,4 @@
-"""How a run went: its searches, what its workers did, what failed, and where it all comes from."""
+"""Course of a run: its searches, work and failures, and the origin of its data."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ from cluster_est.html_report.scales import Scale
 from cluster_est.running.progress_line import search_title
 
 MOST_DRAWN_SEARCHES = 40
-"""Searches that are drawn: the best ones."""
+"""Largest number of searches drawn, of which the best are chosen."""
 AFTERWARDS = ("derivatives", "profile", "bootstrap", "records")
 """First words of the names of searches that examine a solution."""
 MOST_DRAWN_COSTS = 3000
 SMALL_MULTIPLES = 12
 LEAST_SPREAD = 0.01
-"""Least range of a plot of several minima, as a share of the cost."""
+"""Smallest range of a plot of several minima, as a share of the cost."""
 FEW_POINTS, MOST_LEGEND_ENTRIES, SERIES = 60, 12, 8
 MOST_SETS = 20
 LEAST_CLOSED = -25.0
-"""Lower end of the picture of effect sets, in per cent; worse sets are drawn there."""
+"""Lower end of the picture of effect sets, in per cent; worse sets are drawn at this end."""
 STEPS_NOTE = (
     "The number before a set is the step of the search. At 100 %, only noise is left; below 0 %, "
     "the set fits worse than the declared model."
@@ -64,8 +64,8 @@ PATH_NOTE = (
 
 
 def search(run: ReportedRun) -> ReportSection:
-    """Everything about the search that the folder holds."""
-    if run.is_sensitivity or run.is_design:  # which searches nothing
+    """Return the section with all data about the search in the folder."""
+    if run.is_sensitivity or run.is_design:  # these runs have no search
         return ReportSection("search", "How the search went", ())
     said = [TextBlock(" ".join(costs))] if (costs := _costs(run)) else []
     blocks = [*said, *_steps(run), *_convergence(run), *_starts(run), *_front(run)]
@@ -73,7 +73,7 @@ def search(run: ReportedRun) -> ReportSection:
 
 
 def _costs(run: ReportedRun) -> list[str]:
-    """Say how the search ended and what became of the cost."""
+    """Return how the search ended and how the cost changed."""
     message = "" if run.is_loop else run.facts.get("message") or ""
     ended = [f"The search ended: {message}."] if message and run.finished else []
     before, after = run.facts.get("cost_before"), run.facts.get("cost")
@@ -92,7 +92,7 @@ def _costs(run: ReportedRun) -> list[str]:
 
 
 def _steps(run: ReportedRun) -> list[Block]:
-    """The search for missing effects: the share of the gap that each set closed, step by step."""
+    """Return the share of the gap closed by each set of effects, step by step."""
     known = [row for row in run.tables["structures"] if row["effects"]]
     rows = [row for row in known if math.isfinite(row["closed"])]
     best = sorted(rows, key=lambda row: (not row["accepted"], -row["closed"]))[:MOST_SETS]
@@ -123,7 +123,7 @@ def _convergence(run: ReportedRun) -> list[Block]:
         if row["cost"] is not None and math.isfinite(row["cost"]):
             searches.setdefault(row["search"], []).append(row)
     moving = {name: rows for name, rows in searches.items() if len(rows) > 1}
-    searches = moving or searches  # single points are nothing that converges
+    searches = moving or searches  # searches with a single point show no convergence
     if not searches:
         return []
     if any(_begins_again(rows) for rows in searches.values()):
@@ -150,12 +150,12 @@ def _convergence(run: ReportedRun) -> list[Block]:
 
 
 def _begins_again(rows: Sequence[Row]) -> bool:
-    """Return whether several searches have one name, as in a closed loop."""
+    """Return whether several searches have the same name, as in a closed loop."""
     return any(later["evaluations"] < row["evaluations"] for row, later in pairwise(rows))
 
 
 def _all_searches(run: ReportedRun) -> list[Block]:
-    """The costs of all searches as points, in their order."""
+    """Return the costs of all searches as points, in their order."""
     rows = [
         (number, row)
         for number, row in enumerate(run.tables["progress"])
@@ -190,7 +190,7 @@ def _all_searches(run: ReportedRun) -> list[Block]:
 
 
 def _plot(title: str, label: str, marks: Sequence[Line | Dots]) -> Plot:
-    """A plot around lines and dots, logarithmic upwards where the values span much."""
+    """Return a plot of lines and dots, with a logarithmic scale if the values span much."""
     x = Scale.around(*(mark.x for mark in marks))
     y = Scale.around(*(mark.y for mark in marks), may_be_log=True)
     return Plot(title, label, x, y, marks, 260)
@@ -241,7 +241,7 @@ def _minima(run: ReportedRun, starts: Sequence[Row]) -> list[Block]:
 
 
 def profiles(run: ReportedRun) -> list[Block]:
-    """The rise of the cost with each parameter held beside its estimate."""
+    """Return the increase of the cost with each parameter held at other values."""
     rows = [row for row in run.tables["profiles"] if row["unknown"] == row["label"]]
     labels = list(dict.fromkeys(row["label"] for row in rows))
     ends = {r["label"]: r for r in run.tables["intervals"] if r["source"] == "profile"}
@@ -291,13 +291,13 @@ ACTIVITY_BINS, MOST_WORKERS = 160, 64
 
 
 def workers(run: ReportedRun) -> ReportSection:
-    """A time line, a table of workers, and failures by their reasons."""
+    """Return the section with a time line, a table of workers, and failures by reason."""
     blocks = [*_work(run), *_failures(run), *_time_line(run), *_table(run)]
     return ReportSection("workers", "Workers and failures", tuple(blocks))
 
 
 def _work(run: ReportedRun) -> list[Block]:
-    """How many simulations the run took, and how long."""
+    """Return the number of simulations, and the duration of the run."""
     simulations, failures = run.simulated
     if not simulations:
         return []
@@ -369,7 +369,7 @@ def _table(run: ReportedRun) -> list[Block]:
 
 
 def provenance(run: ReportedRun) -> ReportSection:
-    """Model, hashes, seed, versions, data and the resolved config."""
+    """Return the section with model, hashes, seed, versions, data and the resolved config."""
     facts = run.facts
     fmu = facts.get("fmu") or {}
     known = [

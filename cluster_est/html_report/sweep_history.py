@@ -1,4 +1,4 @@
-"""How the results of a sweep changed from one call to the next, such as in nightly sweeps."""
+"""Changes in the results of a sweep from one execution to the next, as in nightly sweeps."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from cluster_est.run_folder.run_files import (
 from workers.messages import FloatArray
 
 MOST_FIGURES = 12
-"""Runs whose errors are drawn, and parameters of the best run."""
+"""Largest number of runs whose errors are drawn, and of parameters of the best run."""
 MOST_NAMED = 3
 SECONDS = {"days": 86400.0, "hours": 3600.0}
 FEWEST_DAYS = 2.0
-"""Least number of days between the first and the last result for an axis in days."""
+"""Smallest number of days between the first and the last result for an axis in days."""
 HEIGHT = 110
 ROLES = (("rmse_train", "training", "after"), ("rmse_test", "held out", "before"))
 NOTE = (
@@ -52,43 +52,42 @@ NOTE = (
 
 @dataclass(frozen=True)
 class RunHistory:
-    """All times that a run of a sweep was done, the first one first: two at least."""
+    """All executions of a run of a sweep, the first one first; at least two."""
 
     run: str
     rows: tuple[Row, ...] = field(repr=False)
 
     def values(self, column: str) -> FloatArray:
-        """A column over the times; NaN where a time has none."""
+        """Return a column over the executions; NaN if missing."""
         found = [row.get(column) for row in self.rows]
         return np.array([math.nan if each is None else each for each in found], np.float64)
 
     def change(self, column: str) -> float:
-        """By how much a number rose the last time, as a share; NaN where that is not known."""
+        """Return the relative increase of a number at the last execution; NaN if unknown."""
         before, now = self.values(column)[-2:]
         return float(now / before - 1.0) if before else math.nan
 
     @property
     def inputs(self) -> str:
-        """What had changed the last time."""
+        """Inputs that changed before the last execution."""
         before, now = self.rows[-2:]
         return ", ".join(
             name for column, name in HISTORY_INPUTS.items() if before.get(column) != now.get(column)
         )
 
     def moved(self, label: str) -> bool:
-        """Whether the last two intervals of a parameter have no value in common."""
+        """Return whether the last two intervals of a parameter are disjoint."""
         low, high = (self.values(f"{end} {label}")[-2:] for end in ("lower95", "upper95"))
         return bool(low.max() > high.min())
 
 
 def read_history(folder: Path) -> list[RunHistory]:
-    """Read the history of a sweep, with those of the same sweep in folders beside it.
+    """Read the history of a sweep, including that of the same sweep in sibling folders.
 
     Parameters
     ----------
     folder
-        Of the sweep. A sweep that is written into a folder with a date each night has its earlier
-        nights beside it.
+        Folder of the sweep. A nightly sweep may write each night to a sibling folder with a date.
 
     Raises
     ------
@@ -96,7 +95,7 @@ def read_history(folder: Path) -> list[RunHistory]:
         If a history is damaged.
     """
     own, folders = _sweep_file(folder), {folder.resolve(): None}
-    with suppress(OSError):  # whoever may not list the folder above sees this sweep alone
+    with suppress(OSError):  # without permission to list the parent folder, only this sweep is read
         folders |= {
             each.resolve(): None
             for each in folder.absolute().parent.iterdir()
@@ -111,7 +110,7 @@ def read_history(folder: Path) -> list[RunHistory]:
 
 
 def _sweep_file(folder: Path) -> str:
-    """The file that a folder's sweep is of; "" if it is no sweep's."""
+    """Return the sweep file of a folder; "" if it is not the folder of a sweep."""
     try:
         return str(json.loads((folder / SWEEP_STATE_FILE).read_bytes())["sweep"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -121,18 +120,18 @@ def _sweep_file(folder: Path) -> str:
 def history(
     found: Sequence[RunHistory], best: str, units: Mapping[str, str], named: Mapping[str, str]
 ) -> ReportSection:
-    """Make the section: the last changes, and errors and the best run's parameters over days.
+    """Return the section with the last changes, and errors and the best run's parameters over days.
 
     Parameters
     ----------
     found
-        What `read_history` has read.
+        Result of `read_history`.
     best
-        The name of the best run.
+        Name of the best run.
     units
-        Of the parameters.
+        Units of the parameters.
     named
-        What pictures call each run.
+        Names of the runs in pictures.
     """
     blocks: list[Block] = []
     if found:
@@ -153,7 +152,7 @@ def history(
 
 
 def _line(each: RunHistory) -> TableLine:
-    """A run's last time beside the one before."""
+    """Return a row that compares a run's last execution with the previous one."""
     errors = []
     for column, *_ in ROLES:
         before, now = each.values(column)[-2:]
@@ -172,19 +171,19 @@ def _signed(share: float) -> str:
 
 
 def _largest(each: RunHistory) -> float:
-    """The largest change of its errors."""
+    """Return the largest change of its errors."""
     changes = [abs(each.change(column)) for column, *_ in ROLES]
     return max((change for change in changes if math.isfinite(change)), default=0.0)
 
 
 def _labels(each: RunHistory) -> list[str]:
-    """Names of the parameters that it has both of the last times."""
+    """Return the names of the parameters that both of the last executions have."""
     found = [name.removeprefix("parameter ") for name in each.rows[-1] if "parameter " in name]
     return [n for n in found if np.isfinite(each.values(f"parameter {n}")[-2:]).all()]
 
 
 def _since(each: RunHistory) -> tuple[FloatArray, str]:
-    """The time of each result relative to the last one: negative numbers and 0, and their unit."""
+    """Return the times of results relative to the last one, which are at most 0, and their unit."""
     began = [datetime.fromisoformat(str(row["started"])).timestamp() for row in each.rows]
     seconds = np.array(began) - began[-1]
     unit = "days" if -seconds[0] >= FEWEST_DAYS * SECONDS["days"] else "hours"

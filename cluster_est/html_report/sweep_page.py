@@ -1,4 +1,4 @@
-"""The report of a sweep: its runs beside each other, the best first, linked to their reports."""
+"""The report of a sweep: a comparison of its runs, the best first, with links to their reports."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from cluster_est.html_report.sweep_history import history, read_history
 from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
 PARAMETER = "parameter "
-"""Begins the names of the columns of shared estimates."""
+"""Prefix of the names of the columns of shared estimates."""
 MOST_DRAWN = 60
-"""Runs of a picture: the best ones."""
+"""Largest number of runs in a picture, of which the best are chosen."""
 LEAST_SPAN = 0.1
-"""Share of the largest estimate that a scale spans where there are no intervals."""
+"""Share of the largest estimate that a scale spans if there are no intervals."""
 COLUMNS_OF_EVERY_SWEEP = (
     "run", "config", "status", "message", "doubts", "cost_before", "cost", "rmse_train",
     "rmse_test", "iterations", "evaluations", "simulations", "failures", "seconds", "seed",
@@ -59,9 +59,9 @@ Role = str
 
 @dataclass(frozen=True)
 class ListedRun:
-    """A run of a sweep: its row of the summary, and what its folder holds, if that is there.
+    """A run of a sweep: its row of the summary, and the contents of its folder, if it exists.
 
-    `link` leads from the page to the run's own report; "" without one.
+    `link` leads from the page to the run's own report; "" without a report.
     """
 
     row: Row
@@ -77,7 +77,7 @@ class ListedRun:
         return run_worth(self.row["status"], self.row["doubts"])
 
     def error(self, role: Role) -> float:
-        """The error over the noise; over sigma where the folder does not tell the noise."""
+        """Return the error relative to the noise, or to sigma if the noise is unknown."""
         sizes = None if self.found is None else error_sizes(self.found)
         if sizes is not None and sizes.is_noise and sizes.rows:
             return sizes.of(sizes.of_role(role), "after")
@@ -88,12 +88,12 @@ class ListedRun:
         return self.found is not None and error_sizes(self.found).is_noise
 
     def value(self, column: str) -> float:
-        """A number of the summary; NaN where it is not there."""
+        """Return a number of the summary; NaN if missing."""
         found = self.row.get(column)
         return math.nan if found is None else float(found)
 
     def estimate(self, label: str) -> tuple[float, float, float, str]:
-        """The estimate of a shared parameter, the ends of its interval, and its unit."""
+        """Return the estimate of a shared parameter, the ends of its interval, and its unit."""
         rows = () if self.found is None else self.found.tables["parameters"]
         for row in rows:
             if row["label"] == label:
@@ -107,12 +107,12 @@ def is_sweep(folder: Path) -> bool:
 
 
 def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
-    """Write the report of a sweep in one step, and before that those of its runs that have none.
+    """Write the report of a sweep atomically, after the missing reports of its runs.
 
     Parameters
     ----------
     folder
-        Of the sweep, finished or not.
+        Folder of the sweep, finished or not.
     out
         The file to write; report.html in the folder if None.
 
@@ -154,12 +154,12 @@ def read_sweep_runs(folder: Path) -> list[ListedRun]:
 def _found(folder: Path) -> ReportedRun | None:
     try:
         return read_results(folder)
-    except RunFolderError:  # it has not run yet, or is damaged: its row is shown all the same
+    except RunFolderError:  # not yet run, or damaged; its row is shown nevertheless
         return None
 
 
 def _listed(folder: Path, row: Row, page: Path) -> ListedRun:
-    """A run with what its folder holds, and a report of its own."""
+    """Return a run with the contents of its folder, and write its own report."""
     own = folder / str(row["run"])
     found = _found(own)
     if found is None:
@@ -169,13 +169,13 @@ def _listed(folder: Path, row: Row, page: Path) -> ListedRun:
         if not report.is_file() or report.stat().st_mtime < (own / "run.json").stat().st_mtime:
             write_report(own)
         relative = Path(os.path.relpath(report, page.absolute().parent)).as_posix()
-    except (RunFolderError, ValueError):  # a table is damaged, or it is on another drive
+    except (RunFolderError, ValueError):  # a damaged table, or a folder on another drive
         return ListedRun(row, found)
     return ListedRun(row, found, quote(relative))
 
 
 def _ranked(runs: Sequence[ListedRun]) -> list[ListedRun]:
-    """Runs with an error, the best first: by the held-out one, then those without, by training."""
+    """Return runs with an error, the best first: by held-out error, then by training error."""
     ended = [run for run in runs if math.isfinite(run.error("train"))]
     return sorted(ended, key=lambda run: (_or_last(run.error("test")), run.error("train")))
 
@@ -185,7 +185,7 @@ def _or_last(error: float) -> float:
 
 
 def _headline(runs: Sequence[ListedRun], best: ListedRun | None) -> tuple[str, Tone]:
-    """The best run and how good it is; green if its own report is."""
+    """Return the best run and its quality; green if its own report is green."""
     done = sum(run.row["status"] == "done" for run in runs)
     if best is None:
         said = f"{count(done)} of {count(len(runs))} runs reached a solution"
@@ -213,7 +213,7 @@ def _sentences(runs: Sequence[ListedRun], ranked: Sequence[ListedRun]) -> list[s
 
 
 def _agreement(ranked: Sequence[ListedRun]) -> list[str]:
-    """Say whether the 95 % intervals of all runs have a value in common."""
+    """Return whether the 95 % intervals of all runs have a common value."""
     apart, known = [], 0
     for label in _labels(ranked):
         ends = np.array([run.estimate(label)[1:3] for run in ranked])
@@ -231,13 +231,13 @@ def _agreement(ranked: Sequence[ListedRun]) -> list[str]:
 
 
 def _labels(runs: Sequence[ListedRun]) -> list[str]:
-    """Names of the shared parameters."""
+    """Return the names of the shared parameters."""
     names = runs[0].row if runs else ()
     return [name.removeprefix(PARAMETER) for name in names if name.startswith(PARAMETER)]
 
 
 def errors(ranked: Sequence[ListedRun]) -> list[FigureBlock]:
-    """Training and held-out errors of the runs in one picture."""
+    """Return training and held-out errors of the runs in one picture."""
     drawn = ranked[:MOST_DRAWN]
     if not drawn:
         return []
@@ -253,7 +253,7 @@ def errors(ranked: Sequence[ListedRun]) -> list[FigureBlock]:
         marks.insert(0, Rules("noise", "measured", x=(1.0,)))
     known = [*sizes.values(), np.ones(1)] if over_noise else [*sizes.values()]
     across = Scale.around(*known, may_be_log=True)
-    if not across.log:  # from 0 on, so that small differences look small
+    if not across.log:  # from 0, so that small differences look small
         across = Scale.around(*known, np.zeros(1))
     shown = "" if len(drawn) == len(ranked) else f", {len(drawn)} of {count(len(ranked))}"
     title = f"Errors of the runs, the best first{shown}"
@@ -265,21 +265,21 @@ def _by_run(
     name: str, title: str, below: str, across: Scale, marks: Sequence[Mark],
     drawn: Sequence[ListedRun], *, ticks: int = 8,
 ) -> FigureBlock:  # fmt: skip
-    """A picture with a row for each run."""
+    """Return a picture with a row for each run."""
     names = [*_short_names(drawn).values()]
     chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1, ticks=ticks)
     return FigureBlock(name, title, chart)
 
 
 def _short_names(runs: Sequence[ListedRun]) -> dict[str, str]:
-    """What each run has on the sweep's axes, or its name, by its name."""
+    """Return the values of each run on the sweep's axes, or its name, by its name."""
     axes = _axes(runs)
     choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in runs]
     return {run.name: own or run.name for own, run in zip(choices, runs, strict=True)}
 
 
 def _axes(runs: Sequence[ListedRun]) -> list[str]:
-    """The names of the sweep's axes."""
+    """Return the names of the sweep's axes."""
     return [
         name
         for name in (runs[0].row if runs else ())
@@ -288,7 +288,7 @@ def _axes(runs: Sequence[ListedRun]) -> list[str]:
 
 
 def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
-    """The shared estimates of the runs with their intervals, a picture for each parameter."""
+    """Return the shared estimates of the runs with intervals, in a picture for each parameter."""
     drawn = ranked[:MOST_DRAWN]
     place = np.arange(len(drawn), dtype=float)
     figures = []
@@ -316,7 +316,7 @@ def _estimates(ranked: Sequence[ListedRun]) -> ReportSection:
 
 
 def _history(folder: Path, runs: Sequence[ListedRun], best: ListedRun | None) -> ReportSection:
-    """What changed since the sweep was called before."""
+    """Return the changes since the previous execution of the sweep."""
     rows = () if best is None or best.found is None else best.found.tables["parameters"]
     units = {row["label"]: row["unit"] for row in rows}
     named = _short_names(runs)
@@ -324,7 +324,7 @@ def _history(folder: Path, runs: Sequence[ListedRun], best: ListedRun | None) ->
 
 
 def _runs(runs: Sequence[ListedRun]) -> ReportSection:
-    """The summary table as people read it."""
+    """Return the summary table for readers."""
     axes = _axes(runs)
     loops = [name for name in ("verdict", "effects", "together") if _has(runs, name)]
     over = "noise" if all(run.over_noise for run in _ranked(runs)) else "sigma"

@@ -1,4 +1,4 @@
-"""modelDescription.xml of the exported FMU: that of the original, with what the effects add."""
+"""modelDescription.xml of the exported FMU: that of the original, with the added effects."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ _ATTRIBUTES = {
 _NOTHING = {
     "Real": "0.0", "Integer": "0", "Enumeration": "1", "Boolean": "false", "String": "",
 }  # fmt: skip
-"""Start values where the original names none."""
+"""Start values for variables of the original without start values."""
 
 
 def as_fmi_2(root: Element, description: ModelDescription) -> Element:
-    """The document of the original, in the words of FMI 2.0.
+    """Convert the document of the original to FMI 2.0.
 
-    What FMI 2.0 does not have (clocks, terminals, annotations) is left out.
+    Elements that FMI 2.0 lacks (clocks, terminals, annotations) are omitted.
 
     Parameters
     ----------
     root
-        In FMI 3.0.
+        Document of FMI 3.0.
     description
         Description with the variables of FMI 2.0 (see `flatten` of `wrapper_layout.py`).
     """
@@ -61,7 +61,7 @@ def as_fmi_2(root: Element, description: ModelDescription) -> Element:
     if any(")[" in name for name in description.variables):
         made.set(
             "variableNamingConvention", "flat"
-        )  # "der(x)[1]", which the run knows, is not structured
+        )  # "der(x)[1]", a name of the run, is not structured
     for tag in ("ModelExchange", "CoSimulation"):
         if (section := root.find(tag)) is not None:
             made.append(_interface(tag, section, description))
@@ -82,7 +82,7 @@ def _interface(tag: str, old: Element, description: ModelDescription) -> Element
     made = Element(tag, {key: old.get(key, "") for key in _KEPT if old.get(key) is not None})
     made.attrib.update({new: old.get(key, "false") for key, new in _RENAMED.items()})
     if any(v.kind == "real" and v.size > 1 for v in description.variables.values()):
-        made.attrib.pop("providesDirectionalDerivative")  # FMI 3.0 has them of whole arrays
+        made.attrib.pop("providesDirectionalDerivative")  # in FMI 3.0, they are for whole arrays
     if tag == "ModelExchange":
         needed = flag(old.get("needsCompletedIntegratorStep"))
         made.set("completedIntegratorStepNotNeeded", str(not needed).lower())
@@ -90,7 +90,7 @@ def _interface(tag: str, old: Element, description: ModelDescription) -> Element
 
 
 def _add_fmi3_units(made: Element, root: Element) -> set[str]:
-    """Copy the units. Returns the display units that FMI 2.0 does not have."""
+    """Copy the units; return the display units that FMI 2.0 lacks."""
     inverse: set[str] = set()
     found = root.findall("UnitDefinitions/Unit")
     units = SubElement(made, "UnitDefinitions") if found else made
@@ -107,7 +107,7 @@ def _add_fmi3_units(made: Element, root: Element) -> set[str]:
 
 
 def _add_types(made: Element, root: Element, inverse: set[str]) -> dict[str, Element]:
-    """Declare the types again. Returns, by name, what describes the values of each."""
+    """Declare the types; return, by name, the elements that describe their values."""
     types: dict[str, Element] = {}
     for old in root.iterfind("TypeDefinitions/*"):
         kind = old.tag.removesuffix("Type")
@@ -132,7 +132,7 @@ def _add_types(made: Element, root: Element, inverse: set[str]) -> dict[str, Ele
 
 
 def _limited(old: Element, tag: str, inverse: set[str]) -> dict[str, str]:
-    """The attributes of a type, without what FMI 2.0 cannot say."""
+    """Return the attributes of a type that FMI 2.0 supports."""
     found = {key: text for key in _ATTRIBUTES[tag] if (text := old.get(key)) is not None}
     if found.get("displayUnit") in inverse:
         found.pop("displayUnit")
@@ -189,12 +189,12 @@ def _places(description: ModelDescription) -> dict[str, int]:
 
 
 def _role(variable: ModelVariable, raw: Element) -> dict[str, str]:
-    """Causality, variability and initial; what they are by default is said too."""
+    """Return causality, variability and initial, including default values."""
     causality, variability = variable.causality, variable.variability
     alias = variable.alias_of is not None
     if causality == "independent" and not alias:
         return {"causality": causality, "variability": variability}
-    if causality == "structuralParameter":  # the run has chosen it, and arrays have that size
+    if causality == "structuralParameter":  # fixed by the run, because array sizes depend on it
         causality, variability = "local", "constant"
     if alias:
         causality = "local"
@@ -203,12 +203,12 @@ def _role(variable: ModelVariable, raw: Element) -> dict[str, str]:
         return found
     if variability == "constant" or causality == "parameter":
         return {**found, "initial": "exact"}
-    # Of several names of a value, its own has the start value.
+    # Of the aliases of a value, only the variable itself has a start value.
     return {**found, "initial": "calculated" if alias else raw.get("initial", "calculated")}
 
 
 def _start(variable: ModelVariable, raw: Element, tag: str) -> str:
-    """As the original has it; structural parameters as the run has chosen them."""
+    """Return the start value of the original; for structural parameters, that of the run."""
     given = raw.get("start")
     if variable.kind == "string":
         return next((each.get("value", "") for each in raw.findall("Start")), given or "")
@@ -273,14 +273,14 @@ def identifier(layout: WrapperLayout) -> str:
 
 
 def model_description(layout: WrapperLayout, guid: str, tool: str) -> bytes:
-    """The document.
+    """Return the document of the exported FMU.
 
     Parameters
     ----------
     layout
-        The exported FMU.
+        Layout of the exported FMU.
     guid, tool
-        Of the exported FMU, and what made it.
+        Guid of the exported FMU, and the tool that made it.
     """
     model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
@@ -289,7 +289,7 @@ def model_description(layout: WrapperLayout, guid: str, tool: str) -> bytes:
         root = as_fmi_2(root, layout.repair.description)
     old = {tag: root.find(tag) for tag in ("ModelExchange", "CoSimulation")}
     chosen = old["ModelExchange" if layout.exchange else "CoSimulation"]
-    assert chosen is not None  # the run has used it
+    assert chosen is not None  # the run has used this interface
     root.set("guid", guid)
     root.set("modelName", f"{root.get('modelName', '')}_repaired")
     root.set("generationTool", tool)
@@ -312,14 +312,14 @@ def model_description(layout: WrapperLayout, guid: str, tool: str) -> bytes:
 
 
 def with_step(document: bytes, step: float) -> bytes:
-    """Return the document with a default step size, which many tools take unless told otherwise."""
+    """Return the document with a default step size, which many tools use unless told otherwise."""
     root = ET.fromstring(document)
     _default_experiment(root).set("stepSize", repr(step))
     return as_document(root)
 
 
 def as_document(root: Element) -> bytes:
-    """Return the text of a file of XML."""
+    """Return the text of an XML file."""
     ET.indent(root)
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
 
@@ -349,7 +349,7 @@ def _interfaces(layout: WrapperLayout, old: Element) -> list[Element]:
 
 
 def _child(root: Element, tag: str, after: tuple[str, ...]) -> Element:
-    """A section of the document, made in its place if it is missing."""
+    """Return a section of the document, which is created in its place if missing."""
     found = root.find(tag)
     if found is None:
         found = Element(tag)
@@ -371,7 +371,7 @@ def _add_units(root: Element, layout: WrapperLayout) -> None:
 
 
 def _set_starts(root: Element, layout: WrapperLayout) -> None:
-    """Estimates become the start values; of several names of a value, that which has a start."""
+    """Set estimates as start values; of several names of a value, only where there is a start."""
     description = layout.repair.description
     found = {description.variables[f.name].reference: f.value for f in layout.repair.parameters}
     known = dict(layout.repair.known)
@@ -389,14 +389,14 @@ def _set_starts(root: Element, layout: WrapperLayout) -> None:
 
 
 def _text(tag: str, given: Value) -> str:
-    """A value as XML schema types have it."""
+    """Return a value in the format of an XML schema type."""
     if tag == "Boolean":
         return str(bool(given)).lower()
     return str(int(given)) if tag in ("Integer", "Enumeration") else str(given)
 
 
 def _add_variables(root: Element, layout: WrapperLayout) -> dict[str, int]:
-    """Append what the original does not have. Returns the index of each, which counts from 1."""
+    """Append the added variables; return the index of each, which counts from 1."""
     variables = root.find("ModelVariables")
     assert variables is not None
     names = {v.get("name", "") for v in variables}
@@ -429,7 +429,7 @@ def _describe(added: AddedVariable, scalar: Element, real: Element) -> None:
 
 
 def _extend_structure(root: Element, layout: WrapperLayout, indices: dict[str, int]) -> None:
-    """List the new derivatives; what effects touch may depend on anything from now on."""
+    """List the added derivatives; remove dependencies of variables that effects change."""
     structure = root.find("ModelStructure")
     variables = root.find("ModelVariables")
     assert structure is not None

@@ -1,4 +1,4 @@
-"""The exported FMU: wrapper, original and description in one archive."""
+"""The exported FMU: wrapper, original and model description in one archive."""
 
 from __future__ import annotations
 
@@ -67,16 +67,16 @@ every experiment had its own values. Tools that set input derivatives
 
 
 def readme(layout: WrapperLayout, name: str, tool: str, step: StepErrors | None) -> str:
-    """The text in Markdown.
+    """Return the documentation in Markdown.
 
     Parameters
     ----------
     layout
-        The exported FMU.
+        Layout of the exported FMU.
     name, tool
-        Of its library, and what made it.
+        Name of its library, and the tool that made it.
     step
-        What was measured of its communication step; None if that was not wanted.
+        Errors at communication steps; None if not measured.
     """
     repair = layout.repair
     model = repair.problem.model
@@ -154,18 +154,18 @@ def _cell(text: str) -> str:
 
 _MOST_NAMED = 8
 TABLE = "resources/repaired.bin"
-"""Where the wrapper finds what it must know."""
+"""File in the archive with the data of the wrapper."""
 
 
 def write_fmu(repair: RepairedModel, path: Path, *, measure: bool = True) -> tuple[str, ...]:
-    """Write the repaired FMU and return sentences on what a user should know of it.
+    """Write the repaired FMU, and return sentences that a user should know about it.
 
     Parameters
     ----------
     repair, path
-        What is written, and where.
+        The repaired model, and the path of the file.
     measure
-        Whether the communication step is measured that reproduces the error of the run.
+        Whether to find the communication step that reproduces the error of the run.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def write_fmu(repair: RepairedModel, path: Path, *, measure: bool = True) -> tup
     notes = _notes(layout)
     if not measure or not repair.errors:
         return notes
-    step = measure_step(repair, _archive(content))  # a crash of the FMU would leave what is written
+    step = measure_step(repair, _archive(content))  # a crash leaves the file
     content |= _about(layout, step)
     if step.reproduces is not None:
         content[XML] = with_step(content[XML], step.reproduces)
@@ -190,7 +190,7 @@ def write_fmu(repair: RepairedModel, path: Path, *, measure: bool = True) -> tup
 
 
 def _write(path: Path, content: dict[str, bytes]) -> None:
-    """Write the archive in one step."""
+    """Write the archive atomically."""
     advice = f"{ELSEWHERE} --fmu"
     with writing(path, advice):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -198,7 +198,7 @@ def _write(path: Path, content: dict[str, bytes]) -> None:
 
 
 def _original_platforms(layout: WrapperLayout) -> tuple[str, ...]:
-    """Return the platforms that the original has a binary for, by FMI 2.0's names."""
+    """Return the platforms of the original's binaries, in the names of FMI 2.0."""
     model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
         there = set(platforms_in(opened.namelist()))
@@ -209,7 +209,7 @@ def _original_platforms(layout: WrapperLayout) -> tuple[str, ...]:
 
 
 def archive_files(layout: WrapperLayout) -> dict[str, bytes]:
-    """Everything in the archive by its name; the same for the same run and wrapper."""
+    """Return all files of the archive by name; the same for the same run and wrapper."""
     name, model = identifier(layout), layout.repair.problem.model
     tool = _tool()
     digest = hashlib.sha256(model.archive_hash.encode())
@@ -223,7 +223,7 @@ def archive_files(layout: WrapperLayout) -> dict[str, bytes]:
             path = f"binaries/{platform}/{shared_library(name, platform)}"
             found[path] = wrapper_binary(platform)
     with open_archive(model.name, model.archive) as opened:
-        for entry in opened.infolist():  # empty folders too: some originals look for theirs
+        for entry in opened.infolist():  # including empty folders, which some originals need
             found[f"resources/original/{entry.filename}"] = opened.read(entry)
     return found
 
@@ -233,11 +233,11 @@ def _tool() -> str:
 
 
 def _about(layout: WrapperLayout, step: StepErrors | None) -> dict[str, bytes]:
-    """What a person reads, by its name in the archive."""
+    """Return the documentation files by their names in the archive."""
     found = {"documentation/README.md": readme(layout, identifier(layout), _tool(), step).encode()}
     try:
         licence = distribution("cluster-est").read_text("licenses/LICENSE")
-    except PackageNotFoundError:  # a tree that is not installed
+    except PackageNotFoundError:  # a source tree that is not installed
         licence = None
     if licence:
         found["documentation/licenses/cluster-est.txt"] = licence.encode()
@@ -278,13 +278,13 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
 
 
 def _archive(content: dict[str, bytes]) -> bytes:
-    """Return a zip archive that depends on its contents only."""
+    """Return a zip archive whose bytes depend only on its contents."""
     target = io.BytesIO()
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in sorted(content.items()):
             entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system = 3  # the same archive, whatever system builds it
+            entry.create_system = 3  # the same on every system
             runnable = entry.is_dir() or "binaries/" in name
             entry.external_attr = 0o755 << 16 if runnable else 0o644 << 16
             archive.writestr(entry, data)

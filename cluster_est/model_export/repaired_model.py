@@ -1,6 +1,6 @@
-"""A model with the estimates and effects of a run: what every form of export is made from.
+"""A model with the estimates and effects of a run, from which all exports are made.
 
-It is gathered from the run's folder, or made of a result in memory.
+It is read from the run's folder, or made from a result in memory.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class EstimatedValue:
     Attributes
     ----------
     name, unit, value
-        The FMU's name for it, or "EFFECT.COEFFICIENT".
+        The FMU's name of the value, or "EFFECT.COEFFICIENT".
     low, high
-        Its 95 % interval; NaN where the data do not determine it, or it was not estimated.
+        Its 95 % interval; NaN if the data do not determine it, or if it was not estimated.
     lower, upper
-        Its bounds, infinite where it has none.
+        Its bounds; infinite if it has none.
     """
 
     name: str
@@ -68,14 +68,14 @@ class EstimatedValue:
 
 @dataclass(frozen=True)
 class ReportedError:
-    """The root mean square error of an output of an experiment, as the run reports it.
+    """The root mean square error of an output of an experiment, as reported by the run.
 
     Attributes
     ----------
     experiment, role, output, unit, samples
-        Of what, and over how many samples.
+        The output, and the number of samples.
     before, after
-        Without and with what was found; NaN where it cannot be simulated.
+        Error without and with the effects found; NaN if it cannot be simulated.
     """
 
     experiment: str
@@ -88,7 +88,7 @@ class ReportedError:
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> Self:
-        """Return what a row of errors.parquet says."""
+        """Return the error of a row of errors.parquet."""
         named = {key: row[key] for key in ("experiment", "role", "output", "unit", "samples")}
         return cls(**named, before=row["rmse_before"], after=row["rmse_after"])
 
@@ -102,27 +102,26 @@ class RepairedModel:
     run
         Name of the run's folder.
     problem, description
-        What was simulated, all effects included.
+        The simulated problem, including all effects, and the FMU's model description.
     effects
-        Effects that do something with the values that were found, in the order in which they act.
+        Active effects at the estimates, in the order in which they act.
     coefficients
-        Of each of these effects.
+        Coefficients of each of these effects.
     parameters
         The values of the FMU's own parameters and initial states.
     known
-        The values that the experiment had besides.
+        Other known values of the experiment.
     notes
-        Sentences on what is not as in the run.
+        Sentences on differences from the run.
     ranges
-        For each effect the range that its variable had in the data, as text; none where that is not
-        known.
+        For each effect, the range of its variable in the data, as text; missing if unknown.
     errors
-        What the run reports.
+        Errors that the run reports.
     without
-        What its errors "before" are those of, as part of a sentence.
+        The model of the errors "before", as part of a sentence.
     of_experiments
-        For each experiment by its id, the values of the FMU's parameters and initial states, and
-        of coefficients that differ between experiments, by the exported FMU's names.
+        By id of the experiment, the values of the FMU's parameters and initial states, and of
+        coefficients that differ between experiments, by the exported FMU's names.
     """
 
     run: str
@@ -140,19 +139,19 @@ class RepairedModel:
 
     @cached_property
     def positions(self) -> tuple[int, ...]:
-        """Index of the first coefficient of each effect among those of all."""
+        """Index of the first coefficient of each effect among all coefficients."""
         return tuple(np.cumsum([0, *map(len, self.coefficients)])[:-1].tolist())
 
 
 def describe_repair(repair: RepairedModel) -> str:
-    """All that a run has found, as plain text."""
+    """Return all results of a run, as plain text."""
     lines = ["Parameters", *(_line(found) for found in repair.parameters)]
     lines = lines if repair.parameters else []
     return "\n".join([*lines, *([""] if lines else []), describe_effects(repair)])
 
 
 def describe_effects(repair: RepairedModel) -> str:
-    """The effects: site, equation and coefficients of each."""
+    """Return the effects as text: site, equation and coefficients of each."""
     if not repair.effects:
         return "No effects were added.\n"
     lines = ["Effects"]
@@ -172,7 +171,7 @@ def describe_effects(repair: RepairedModel) -> str:
 
 
 def effect_equation(effect: EffectDefinition) -> str:
-    """The equation as a person reads it."""
+    """Return the equation of an effect as readable text."""
     if not effect.effect.equation:
         return equation_text(effect.effect, effect.form, effect.site)
     own = effect.effect
@@ -191,7 +190,7 @@ def _line(found: EstimatedValue, prefix: str = "") -> str:
 
 
 MOST_NAMED_EXPERIMENTS = 4
-"""Experiments that a note names."""
+"""Largest number of experiments that a note names."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ class ParameterReader:
     experiment: Experiment | None
 
     def repair(self, run: str) -> RepairedModel:
-        """Gather all that the export of a run of this name needs."""
+        """Return the repaired model of a run with this name."""
         problem = self.problem
         count = len(problem.model.parameters)
         named = [p for p in problem.parameters if not p.auxiliary]
@@ -229,7 +228,7 @@ class ParameterReader:
         )
 
     def _absent(self, names: Sequence[str]) -> str:
-        """Say which parameters keep their starts, and how to choose the values of an experiment."""
+        """Return which parameters keep their starts, and how to select an experiment's values."""
         one = len(names) == 1
         targets = {p.name: p.target for p in self.problem.parameters}
         starts = [self.description.variables.get(targets[name]) for name in names]
@@ -251,7 +250,7 @@ class ParameterReader:
     def _of_experiments(
         self, named: Sequence[Parameter], effects: Sequence[EffectDefinition]
     ) -> dict[str, dict[str, float]]:
-        """Return the values of each experiment of which all are known."""
+        """Return the values of each experiment whose values are all known."""
         count = len(self.problem.model.parameters)
         kept = {f"{e.effect.name}.{c}" for e in effects for c in coefficient_names(e.effect)}
         own = [p for p in named[count:] if p.name in kept and (p.per or p.expression)]
@@ -304,7 +303,7 @@ class ParameterReader:
         return tuple(kept), tuple(coefficients), notes
 
     def _find(self, parameter: Parameter, unit: str = "") -> EstimatedValue | None:
-        """The value of a parameter, None if it has one for each experiment and none was chosen."""
+        """Return the value of a parameter; None for different values and no chosen experiment."""
         label = parameter.name
         if self.experiment is not None:
             label = label_of(parameter, self.experiment)
@@ -329,29 +328,29 @@ class ParameterReader:
 
 Row = Mapping[str, Any]
 FITTED = "the original FMU with fitted parameters"
-"""What the errors of a closed loop before its repair are those of."""
+"""The model of the errors of a closed loop before its repair."""
 
 
 def gather(
     run_folder: Path, config: Path | None, experiment: str | None, *, allow_code: bool
 ) -> RepairedModel:
-    """Read what a run was made from and what it has found.
+    """Read the inputs and the results of a run.
 
     Parameters
     ----------
     run_folder
-        Of a finished fit or closed loop.
+        Folder of a finished fit or closed loop.
     config
-        The config that it was made from, if that has moved.
+        The original config of the run, if it has moved.
     experiment
-        Whose values are taken, where parameters have one for each; None for shared values alone.
+        The experiment whose values are used if they differ; None for shared values only.
     allow_code
-        Whether Python functions that the config names may run.
+        Whether Python functions named in the config may run.
 
     Raises
     ------
     ClusterEstError
-        If the run is not finished, its files are gone, or the FMU is another now.
+        If the run is not finished, its files are missing, or the FMU has changed.
     """
     facts = read_facts(run_folder)
     table = run_folder / "parameters.parquet"
@@ -388,20 +387,20 @@ def repaired(
     *,
     fitted: bool = False,
 ) -> RepairedModel:
-    """Make a repaired model from a result in memory.
+    """Return a repaired model for a result in memory.
 
     Parameters
     ----------
     problem
-        With all effects.
+        The problem with all effects.
     estimates
-        What was found for it.
+        Estimates for it.
     experiment
-        As of `gather`.
+        As in `gather`.
     errors
         Rows of the table of errors.
     fitted
-        Whether those before are of a fit: of a closed loop they are.
+        Whether the errors before are those of a fit, as for a closed loop.
     """
     rows = {each.label: dataclasses.asdict(each) for each in estimates}
     chosen = _experiment(problem, experiment)
@@ -410,7 +409,7 @@ def repaired(
 
 
 def _ranges(shapes: Sequence[Row]) -> dict[str, str]:
-    """Return for each effect the range that its variable had in the data."""
+    """Return for each effect the range of its variable in the data."""
     found = {}
     for row in shapes:
         if row["x"] and row["variable"]:
@@ -428,7 +427,7 @@ def _with_errors(repair: RepairedModel, errors: Sequence[Row], *, fitted: bool) 
 
 
 def _problem(run_folder: Path, facts: Row, config: Path | None, *, allow_code: bool) -> Problem:
-    """The problem of the last fit: a closed loop has added effects to that of its config."""
+    """Return the problem of the last fit, which includes effects added by a closed loop."""
     path, text = run_folder / "config.toml", read_config_text(run_folder)
     try:
         raw = tomllib.loads(text)

@@ -1,8 +1,8 @@
-"""The communication step at which the exported FMU has the error that the run reports.
+"""The communication step at which the exported FMU has the error reported by the run.
 
-Many tools keep an FMU's inputs as they are between two communication points. An input that was
-linear between its samples in the run is a staircase then, and the error grows with the step. It is
-measured here by simulating the exported FMU as such a tool does.
+Many tools keep an FMU's inputs constant between two communication points. An input that was linear
+between its samples in the run then becomes a staircase, and the error increases with the step. This
+module measures the error by simulating the exported FMU in the same way.
 """
 
 from __future__ import annotations
@@ -24,39 +24,38 @@ from workers.messages import Experiment, Model, Solver, Task
 from workers.wire import TaskBatch
 
 HALVINGS = 7
-"""How often the step is halved at most."""
+"""Largest number of times that the step is halved."""
 SAME_STEP_ERROR = 0.01
-"""Share of the reported error within which another error is the same."""
+"""Relative difference from the reported error below which errors count as equal."""
 NEGLIGIBLE_DIFFERENCE = 1e-6
-"""Share of a measured signal's standard deviation that is no difference."""
+"""Difference, as a share of a measured signal's standard deviation, that counts as zero."""
 MOST_STEPS = 4_000_000
-"""Communication steps that all simulations at one step may take: some seconds."""
+"""Largest number of communication steps in all simulations at one step; they take some seconds."""
 
 Errors = dict[str, float]
 """Root mean square error of each output, in its unit."""
 ErrorPairs = tuple[tuple[str, float], ...]
-"""Root mean square error of each output as pairs of name and error, which a frozen dataclass
-keeps."""
+"""Root mean square error of each output as hashable pairs of name and error."""
 
 
 @dataclass(frozen=True)
 class StepErrors:
-    """The errors of the exported FMU at communication steps, and those that the run reports.
+    """The errors of the exported FMU at several communication steps, and those of the run.
 
     Attributes
     ----------
     experiments
-        Ids of those that were simulated.
+        Ids of the simulated experiments.
     units
-        Of the outputs.
+        Units of the outputs.
     reported
-        By the run, over the same experiments.
+        Errors of the run for the same experiments.
     measured
-        (step in seconds, errors), each step half of the one before.
+        (step in seconds, errors); each step is half of the previous one.
     reproduces
-        The first step whose errors are those of the run; None if none of them is.
+        The first step with the errors of the run; None if there is none.
     why_not
-        Why nothing was measured, as a sentence; empty if it was.
+        The reason why nothing was measured, as a sentence; empty if it was.
     """
 
     experiments: tuple[str, ...] = ()
@@ -68,7 +67,7 @@ class StepErrors:
 
     @property
     def sentence(self) -> str:
-        """What a user of the exported FMU should know of its communication step."""
+        """A sentence for the user about the communication step of the exported FMU."""
         if self.why_not:
             return f"the error at different communication steps was not measured: {self.why_not}"
         first, at_first = self.measured[0]
@@ -96,14 +95,14 @@ def _text(errors: ErrorPairs, units: tuple[tuple[str, str], ...]) -> str:
 
 
 def measure_step(repair: RepairedModel, archive: bytes) -> StepErrors:
-    """Simulate the exported FMU at smaller and smaller steps until the error is that of the run.
+    """Simulate the exported FMU with decreasing steps until the error is that of the run.
 
     Parameters
     ----------
     repair
-        What was exported.
+        The exported model.
     archive
-        The exported FMU. It runs in this process, where every step costs some milliseconds.
+        The exported FMU. It runs in this process, and every step takes some milliseconds.
     """
     chosen = _experiments(repair)
     if not chosen:
@@ -135,7 +134,7 @@ def measure_step(repair: RepairedModel, archive: bytes) -> StepErrors:
 
 
 def _experiments(repair: RepairedModel) -> tuple[Experiment, ...]:
-    """The training experiments that can be simulated from what is known, else the held-out ones."""
+    """Return the usable training experiments; if there are none, the held-out experiments."""
     measured = {e.experiment for e in repair.errors if np.isfinite(e.after)}
     usable = [
         e
@@ -147,7 +146,7 @@ def _experiments(repair: RepairedModel) -> tuple[Experiment, ...]:
 
 
 def _reported(repair: RepairedModel, chosen: Sequence[Experiment]) -> Errors:
-    """The run's error of each output over all samples of these experiments."""
+    """Return the run's error of each output over all samples of these experiments."""
     ids = {e.id for e in chosen}
     outputs = dict.fromkeys(o.variable for e in chosen for o in e.outputs)
     found = {}
@@ -159,7 +158,7 @@ def _reported(repair: RepairedModel, chosen: Sequence[Experiment]) -> Errors:
 
 
 def _first_step(repair: RepairedModel, chosen: Sequence[Experiment]) -> float:
-    """The communication step of the run, else the time between two samples."""
+    """Return the communication step of the run, otherwise the time between two samples."""
     solver = repair.problem.model.solver
     if solver.name == "fmu" and solver.step is not None:
         return solver.step
@@ -170,7 +169,7 @@ def _first_step(repair: RepairedModel, chosen: Sequence[Experiment]) -> float:
 
 
 def _held_model(repair: RepairedModel, archive: bytes) -> Model:
-    """The exported FMU for co-simulation, said not to interpolate its inputs."""
+    """Return the exported FMU for co-simulation, without interpolation of its inputs."""
     named = dict.fromkeys(n for values in repair.of_experiments.values() for n in values)
     target = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(archive)) as old, zipfile.ZipFile(target, "w") as new:
@@ -227,7 +226,7 @@ def _errors_at(
 
 
 def _fed(experiment: Experiment, signals: Sequence[str]) -> Experiment:
-    """The experiment with the signals that effects need as inputs, and its outputs alone."""
+    """Return the experiment with the signals of effects as inputs, and with outputs only."""
     more = [given for given in experiment.signals if given.variable in signals]
     return replace(
         experiment,

@@ -1,6 +1,6 @@
-"""The prebuilt library of exported FMUs for each platform that an FMU can be for.
+"""The precompiled library of exported FMUs for each supported platform.
 
-What is built, and where it is, `workers.core.build` knows; here it gets the names of FMI 2.0.
+`workers.core.build` manages the libraries; this module uses the platform names of FMI 2.0.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ FMI2_PLATFORMS = {
     "win64": ("x86_64-windows",),
     "darwin64": ("x86_64-darwin", "aarch64-darwin"),
 }
-"""FMI 2.0's names, with those of FMI 3.0; a Mac's library has a part for each processor."""
+"""Platforms of FMI 2.0, with those of FMI 3.0; a Mac's library has a part for each processor."""
 _MACH_O_PARTS = ((0x01000007, 3, 12), (0x0100000C, 0, 14))
 """Processor type, subtype and page size (as a power of two) of the parts of a universal binary."""
 
 
 def wrapper_platforms() -> tuple[str, ...]:
-    """Return the platforms that there is a library for, in FMI 2.0's names, this machine's first.
+    """Return the platforms with a library, in FMI 2.0's names, that of this machine first.
 
-    That of this machine is built if need be, which takes some seconds.
+    The library of this machine is compiled if necessary, which takes some seconds.
     """
     others = (p for p in FMI2_PLATFORMS if p != PLATFORM and all(map(_is_there, FMI2_PLATFORMS[p])))
     return (PLATFORM, *others)
@@ -36,12 +36,12 @@ def wrapper_binary(platform: str) -> bytes:
     Raises
     ------
     ModelError
-        If it is not there and cannot be built.
+        If it is missing and cannot be compiled.
     """
     here = build.this_platform()
     names = FMI2_PLATFORMS.get(platform, ())
     if platform == PLATFORM and (here not in names or not all(map(_is_there, names))):
-        names = (here,)  # an installation in place has no more, and FMI 2.0 no name for some
+        names = (here,)  # in an editable installation; FMI 2.0 may have no name for it
     parts = [build.library("wrapper", name).read_bytes() for name in names]
     return parts[0] if len(parts) == 1 else universal_binary(parts)
 
@@ -51,7 +51,7 @@ def _is_there(name: str) -> bool:
 
 
 def universal_binary(parts: Sequence[bytes]) -> bytes:
-    """Join the libraries for Intel and Arm Macs, in this order, into one."""
+    """Join the libraries for Intel and ARM Macs, in this order, into one."""
     header = struct.pack(">II", 0xCAFEBABE, len(parts))
     body = bytearray(4096)
     for (processor, subtype, alignment), part in zip(_MACH_O_PARTS, parts, strict=True):

@@ -15,23 +15,23 @@ from workers.fmu.variable import ModelVariable, Type
 from workers.simulation.integrator import DEFAULT_RTOL
 
 _SAME: tuple[Type, ...] = ("Float64", "Int32", "Boolean", "String")
-"""Types that FMI 2.0 has under another name."""
+"""Types that exist in FMI 2.0, some with another name."""
 _LEAST, _MOST = -(2.0**31), 2.0**31 - 1.0
 """Limits of the integers of FMI 2.0."""
 
 
 @dataclass(frozen=True)
 class TranslatedVariable:
-    """A variable of the original that FMI 2.0 knows otherwise.
+    """A variable of the original that has another form in FMI 2.0.
 
     Attributes
     ----------
     first, size
-        References of its elements in the exported FMU: so many from the first on.
+        References of its elements in the exported FMU: `size` consecutive ones from `first` on.
     type, reference
-        In the original.
+        Type and reference in the original.
     starts
-        Start values of the elements of an array that can be set, () for others.
+        Start values of the elements of a settable array, () for others.
     """
 
     first: int
@@ -44,9 +44,9 @@ class TranslatedVariable:
 def flatten(
     description: ModelDescription, structure: Mapping[str, int]
 ) -> tuple[ModelDescription, tuple[TranslatedVariable, ...], tuple[str, ...]]:
-    """Give each element of an array a reference, and leave out what FMI 2.0 has no type for.
+    """Give each element of an array a reference, and omit variables without a type in FMI 2.0.
 
-    A description of FMI 2.0 stays as it is.
+    A description of FMI 2.0 is not changed.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def flatten(
     Returns
     -------
     description, translated, left_out
-        With references of the exported FMU; in the order of their first references; names of
-        variables that FMI 2.0 cannot express.
+        The description with references of the exported FMU; translated variables in the order of
+        their first references; names of variables that FMI 2.0 cannot express.
     """
     if description.version == "2.0":
         return description, (), ()
@@ -87,7 +87,7 @@ def flatten(
 
 
 def _expressible(elements: list[ModelVariable]) -> bool:
-    """Return whether FMI 2.0 can express it, as far as its start values show."""
+    """Return whether FMI 2.0 can express a variable, judged by its start values."""
     kind, size = elements[0].kind, elements[0].size
     if kind == "integer":
         return all(_LEAST <= (v.start or 0.0) <= _MOST for v in elements)
@@ -95,12 +95,12 @@ def _expressible(elements: list[ModelVariable]) -> bool:
 
 
 def fits(limit: float | None) -> bool:
-    """Return whether a limit of integers is one of FMI 2.0."""
+    """Return whether a limit is within the range of FMI 2.0's integers."""
     return limit is not None and _LEAST <= limit <= _MOST
 
 
 Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
-"""What stands for a reference, in the order of `table.h`."""
+"""Kinds of values of references, in the order of `table.h`."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class AddedVariable:
         "SIGNAL" (an input), "COEFFICIENT" (a tunable parameter), "STATE" or "RATE" (its
         derivative).
     index
-        In the wrapper's array of that kind.
+        Index in the wrapper's array of that kind.
     state
         For a derivative, the name of its state.
     """
@@ -129,9 +129,9 @@ class AddedVariable:
 
 @dataclass(frozen=True)
 class AnsweredReference:
-    """A reference of a real variable that the wrapper answers for.
+    """A reference of a real variable whose value the wrapper provides.
 
-    `start` is the index of its start value among those of the run; -1 if it has none there.
+    `start` is the index of its start value among those of the run; -1 if it has none.
     """
 
     reference: int
@@ -147,31 +147,31 @@ class WrapperLayout:
     Attributes
     ----------
     repair
-        What is laid out; its description has the references of the exported FMU.
+        The exported model; its description has the references of the exported FMU.
     exchange
-        Whether the original is integrated from outside (model exchange).
+        Whether the original uses model exchange.
     inputs
-        The original's real inputs: float64 scalars first, and those that may move between events
-        first among them.
+        The original's real inputs: float64 scalars first, and among them those that may change
+        between events first.
     signals
-        Measured signals that effects need: further inputs.
+        Measured signals that effects need; they become additional inputs.
     memories, inner, outputs
-        Indices of the effects that change an input as a whole, that act while the simulation runs,
+        Indices of the effects that change a complete input signal, that act during the simulation,
         and that act at outputs.
     equations
-        Of those inside.
+        Equations of the effects that act during the simulation.
     row
         Variables that effects at outputs need.
     starts
-        Values of the original's variables that the exported FMU begins with.
+        Start values of the original's variables in the exported FMU.
     added
         Variables that the original does not have.
     answered
-        In the order of their references.
+        References provided by the wrapper, in ascending order.
     affected
-        References of what effects depend on or change.
+        References of variables that effects use or change.
     translated, left_out
-        Variables that FMI 2.0 has another form for than FMI 3.0, and those that it has none for.
+        Variables that have another form in FMI 2.0, and variables that FMI 2.0 cannot express.
     """
 
     repair: RepairedModel
@@ -192,12 +192,12 @@ class WrapperLayout:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The original's states, which stand first among all."""
+        """The original's states, which come first among all states."""
         return self.repair.description.states if self.exchange else ()
 
     @property
     def n_inner_states(self) -> int:
-        """How many states there are but those of effects at outputs."""
+        """Number of states, without those of effects at outputs."""
         return len(self.states) + len(self.equations.start_states)
 
     def is_plain(self, variable: ModelVariable) -> bool:
@@ -211,7 +211,7 @@ class WrapperLayout:
 
     @property
     def tolerance(self) -> float:
-        """The relative tolerance that the run was integrated with."""
+        """The relative tolerance of the run's integration."""
         solver = self.repair.problem.model.solver
         rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
         return min(rtol, DEFAULT_RTOL) if solver.name == "cvode" else rtol
@@ -229,13 +229,13 @@ class WrapperLayout:
 
 
 def lay_out(repair: RepairedModel) -> WrapperLayout:
-    """Lay out the exported FMU.
+    """Return the layout of the exported FMU.
 
     Raises
     ------
     ModelError
         If an effect is at an input that is not real, or the run needs a variable that FMI 2.0
-        cannot say.
+        cannot express.
     """
     structure = dict(repair.problem.model.structure)
     description, translated, left_out = flatten(repair.description, structure)
@@ -278,13 +278,13 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
 def _signals(
     effects: tuple[EffectDefinition, ...], description: ModelDescription
 ) -> tuple[str, ...]:
-    """Return the measured signals that effects depend on."""
+    """Return the measured signals on which effects depend."""
     used = (name for effect in effects for name in effect.uses)
     return tuple(dict.fromkeys(name for name in used if name not in description.variables))
 
 
 def _refuse_read(effects: tuple[EffectDefinition, ...], description: ModelDescription) -> None:
-    """Refuse effects that read what an FMU for co-simulation computes."""
+    """Refuse effects that depend on computed variables of an FMU for co-simulation."""
     for effect in effects:
         read = [n for n in effect.uses if (v := description.variables.get(n)) and v.is_read]
         if effect.site.kind != "output" and read:
@@ -296,7 +296,7 @@ def _refuse_read(effects: tuple[EffectDefinition, ...], description: ModelDescri
 
 
 def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
-    """Refuse what FMI 2.0, which the wrapper is of, has no words for."""
+    """Refuse variables that the wrapper's FMI 2.0 cannot express."""
     problem = repair.problem
     named = [found.name for found in repair.parameters] + [name for name, _ in repair.known]
     for effect in repair.effects:
@@ -340,7 +340,7 @@ def _check_inputs(
 
 
 def _starts(repair: RepairedModel) -> list[EstimatedValue]:
-    """Real values that the original begins with."""
+    """Return the real start values of the original."""
     description = repair.description
     found = list(repair.parameters)
     for name, value in repair.known:
@@ -352,7 +352,7 @@ def _starts(repair: RepairedModel) -> list[EstimatedValue]:
 def _added(
     repair: RepairedModel, signals: tuple[str, ...], stateful: list[int], *, exchange: bool
 ) -> tuple[AddedVariable, ...]:
-    """The new variables, their references behind those of the original's real ones."""
+    """Return the new variables; their references follow those of the original's real variables."""
     variables = repair.description.variables.values()
     reference = 1 + max((v.reference for v in variables if v.kind == "real"), default=0)
     inputs = sum(v.kind == "real" for v in _inputs(repair.description))

@@ -1,6 +1,6 @@
-"""The file that the prebuilt wrapper of an exported FMU reads: its equations and its variables.
+"""The file with equations and variables that the precompiled wrapper of an exported FMU reads.
 
-Its form is that of `workers/core/wrapper/table.h`.
+Its format is defined in `workers/core/wrapper/table.h`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ TABLE_MARK = b"CEWRAP1\0"
 
 
 def wrapper_table(layout: WrapperLayout, guid: str) -> bytes:
-    """The content of the file.
+    """Return the content of the file.
 
     Raises
     ------
     EffectError
-        If an equation has something in it that the core does not know.
+        If an equation contains something that the core cannot compute.
     """
     fields = [
         *_model(layout, guid),
@@ -103,7 +103,7 @@ def _n_coefficients(layout: WrapperLayout) -> int:
 
 
 def _rate_program(layout: WrapperLayout) -> bytes:
-    """The fastest rate of own states inside, as far as it depends on coefficients alone."""
+    """Return code for the fastest rate of own states, if coefficients alone determine it."""
     if not layout.equations.start_states:
         return b""
     rates = [abs(rate) for i in layout.inner for rate in known_rates(layout.effect(i), ())]
@@ -136,14 +136,14 @@ def _inputs(layout: WrapperLayout) -> list[bytes]:
 
 
 def _found(layout: WrapperLayout) -> dict[str, float]:
-    """Return the values of the run that are numbers, by name."""
+    """Return the numeric values of the run, by name."""
     repair = layout.repair
     known = {name: float(value) for name, value in repair.known if isinstance(value, float | int)}
     return {f.name: f.value for f in repair.parameters} | known
 
 
 def _driven(layout: WrapperLayout, inputs: Sequence[ModelVariable]) -> bytes:
-    """Return the elements of inputs that are no float64 scalars, whole variables at a time."""
+    """Return the elements of inputs that are not float64 scalars, as complete variables."""
     columns = {v.reference: i for i, v in enumerate(layout.inputs)}
     parts = []
     for place in layout.translated:
@@ -179,7 +179,7 @@ def _values(layout: WrapperLayout) -> list[bytes]:
 
 
 def _known(layout: WrapperLayout, kind: str) -> list[tuple[int, Value]]:
-    """Values of the run that are no reals, but structural parameters, which come first."""
+    """Return the values of the run of a kind, without structural parameters."""
     variables = layout.repair.description.variables
     known = [(variables[name], value) for name, value in layout.repair.known]
     return [
@@ -190,7 +190,7 @@ def _known(layout: WrapperLayout, kind: str) -> list[tuple[int, Value]]:
 
 
 def _translated(layout: WrapperLayout) -> list[bytes]:
-    """Return tables of the variables of FMI 3.0 that FMI 2.0 has another form for."""
+    """Return tables of the variables of FMI 3.0 that have another form in FMI 2.0."""
     variables = layout.repair.description.variables
     places, elements, kept, at = [], [], list[float](), 0
     for v in layout.translated:
@@ -242,7 +242,7 @@ def _output_effect(layout: WrapperLayout, index: int) -> tuple[int, ...]:
 
 
 def _output_programs(layout: WrapperLayout, index: int) -> tuple[bytes, bytes]:
-    """Return an effect at an output, and the rate and the decay of its own states."""
+    """Return code of an effect at an output, and of the rate and the decay of its own states."""
     effect = layout.effect(index)
     if effect.form.memory:
         return b"", b""

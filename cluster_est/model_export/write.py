@@ -1,4 +1,4 @@
-"""The recipe of an export: gather, then write each form that is asked for."""
+"""Export of a run: read it, then write each requested form."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _FUNCTION_NAMES = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sq
 
 
 class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
-    """Expressions of Modelica."""
+    """Prints expressions of Modelica."""
 
     def _print_Pow(self, expr: sp.Expr) -> str:  # noqa: N802 - SymPy's name
         base, exponent = expr.args
@@ -65,7 +65,7 @@ class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
         return self._nested("max", expr)
 
     def _nested(self, name: str, expr: sp.Expr) -> str:
-        """Modelica's min and max take two numbers."""
+        """Print nested calls, because Modelica's min and max take two numbers."""
         first, *rest = (str(self._print(argument)) for argument in expr.args)
         for argument in rest:
             first = f"{name}({first}, {argument})"
@@ -85,7 +85,7 @@ class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
 
 
 def modelica(repair: RepairedModel) -> str:
-    """The effects as declarations and equations, and the parameters as modifiers."""
+    """Return the effects as declarations and equations, and the parameters as modifiers."""
     lines = [f"// {repair.description.file} with the results of run {repair.run}"]
     if repair.parameters:
         lines.append("// parameters and initial states of the model:")
@@ -105,7 +105,7 @@ def _comment(found: EstimatedValue) -> str:
 
 
 def _name(*parts: str) -> str:
-    """An identifier of Modelica."""
+    """Return an identifier of Modelica."""
     return re.sub(r"\W+", "_", "_".join(parts)).strip("_")
 
 
@@ -162,9 +162,9 @@ COMMON = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 
 
 def parameter_set(repair: RepairedModel) -> bytes:
-    """The document: estimates, known values, and the coefficients of the effects.
+    """Return an SSP parameter set with estimates, known values, and coefficients of the effects.
 
-    Each unit has a name and an empty base unit: what it is made of, the run does not know.
+    Each unit has a name and an empty base unit, because the run does not know its definition.
     """
     ET.register_namespace("ssv", VALUES)
     ET.register_namespace("ssc", COMMON)
@@ -201,11 +201,11 @@ def _add(parent: Element, name: str, value: Value, unit: str) -> None:
 
 
 COLUMNS = ("name", "value", "unit", "low", "high")
-"""`low` and `high` are the 95 % interval, empty if it is unknown."""
+"""Columns of the table; `low` and `high` are the 95 % interval, empty if unknown."""
 
 
 def value_table(repair: RepairedModel) -> bytes:
-    """The document: estimates, coefficients of the effects, and known values."""
+    """Return a table of estimates, coefficients of the effects, and known values."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
@@ -224,9 +224,9 @@ def _interval(value: EstimatedValue) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """Forms of export that are asked for: files to write, and texts to print.
+    """Requested forms of export: files to write, and texts to print.
 
-    `measure` says whether the communication step of the FMU is measured.
+    `measure` is whether the communication step of the FMU is measured.
     """
 
     fmu: Path | None = None
@@ -239,7 +239,7 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportResult:
-    """Files that were written, texts to print, and notes for a user."""
+    """Written files, texts to print, and notes for the user."""
 
     files: tuple[Path, ...]
     printed: tuple[str, ...]
@@ -254,7 +254,7 @@ def export(
     *,
     allow_code: bool = False,
 ) -> ExportResult:
-    """Write what a run has found.
+    """Write the results of a run.
 
     Parameters
     ----------
@@ -266,19 +266,19 @@ def export(
     Raises
     ------
     ClusterEstError
-        If nothing is asked for, the run cannot be read, or a file cannot be written.
+        If no form is requested, the run cannot be read, or a file cannot be written.
     """
     check_request(wanted)
     return write_forms(gather(run_folder, config, experiment, allow_code=allow_code), wanted)
 
 
 def check_request(wanted: ExportRequest) -> None:
-    """Refuse a request for nothing, or for files of another ending.
+    """Refuse a request for no form, or for files with wrong suffixes.
 
     Raises
     ------
     ConfigError
-        Saying what can be asked for.
+        With the possible forms.
     """
     if not (wanted.fmu or wanted.ssv or wanted.csv or wanted.modelica or wanted.text):
         raise ConfigError(
@@ -290,7 +290,7 @@ def check_request(wanted: ExportRequest) -> None:
 
 
 def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
-    """Write every form that is wanted.
+    """Write all requested forms.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def _write(path: Path, option: str, document: bytes) -> None:
 
 
 def _check_not_original(path: Path | None, original: str) -> None:
-    """The original is inside nothing else, and the run cannot be exported again without it."""
+    """Refuse to overwrite the original, which later exports need."""
     if path is None or not path.is_file():
         return
     if hashlib.sha256(path.read_bytes()).hexdigest() == original:

@@ -1,4 +1,4 @@
-"""All checks of a preflight, in their order, while there is time."""
+"""All checks of a preflight, in their order, within a time limit."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ CLEAR_CHANGE_OVER_NOISE = 5.0
 
 
 def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
-    """Name the experiments in which nothing moves at the start values though it was measured to.
+    """Return findings for experiments whose outputs are constant although measured as changing.
 
-    One whose initial state is estimated may well begin at rest: it is left out.
+    An experiment with an estimated initial state may start at rest, so it is omitted.
     """
     resting = []
     for simulation in simulations:
@@ -95,7 +95,7 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
 def starts_elsewhere(
     subject: CheckSubject, simulations: Sequence[Simulation]
 ) -> list[CheckFinding]:
-    """Name the output that is farthest from its measurement at the first sample."""
+    """Return a finding for the output with the largest error at the first sample."""
     if not subject.declared:
         return []
     unknown = sensor_outputs(subject.problem)
@@ -128,21 +128,21 @@ def _moves(values: FloatArray) -> bool:
 
 
 MOST_SECONDS = 1.0
-"""Time for the measurement, where it suffices."""
+"""Longest duration of the measurement, if it gives enough simulations."""
 ENOUGH = 150
-"""Simulations for which there is time with any longer time for all checks."""
+"""Number of simulations that is always enough, however much time remains."""
 SHORT_SIMULATION_SECONDS = 2e-4
-"""Seconds. Shorter simulations are not worth the time to send them to another process."""
+"""Seconds; shorter simulations are faster in this process than in another one."""
 LONG = 1.0
-"""Seconds. With longer simulations, a method that needs few of them is recommended."""
+"""Seconds; for longer simulations, a method that needs few of them is recommended."""
 LEAST_COUNT = 100
-"""Least number of simulations with which a memory leak is visible."""
+"""Smallest number of simulations that reveals a memory leak."""
 LEAK = 1024.0
-"""Least increase of the memory for each simulation that counts as a leak, in bytes."""
+"""Smallest increase of the memory per simulation that counts as a leak, in bytes."""
 
 
 def costs(subject: CheckSubject) -> list[CheckFinding]:
-    """Return the median time of a simulation, and the memory that each leaves behind."""
+    """Return the median time of a simulation, and its memory leak."""
     seconds = max(
         min(MOST_SECONDS, subject.budget.left / 3.0),
         min(ENOUGH * subject.simulation_seconds, 0.75 * subject.share * subject.budget.left),
@@ -163,7 +163,7 @@ def costs(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def _few_simulations(seconds: float) -> list[CheckFinding]:
-    """Recommend options that need few simulations, if each simulation takes long."""
+    """Recommend options that need few simulations if each simulation is slow."""
     if seconds < LONG:
         return []
     said = (
@@ -231,13 +231,13 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
 
 
 SECONDS = 4.0
-"""Time for all checks, once there is a process for them."""
+"""Time in seconds for all checks, once a process exists for them."""
 LEAST_MOVEMENT = 0.01
-"""Least change of an output that is informative, as a share of its largest range."""
+"""Smallest change of an output that is informative, as a share of its largest range."""
 SHARE_OF_LEFTOVER = 1.0
-"""Share of the time left when all checks are done, for one that had too little."""
+"""Share of the remaining time for a check that is repeated because its time was too short."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6
-"""Shares of the time left for loading the FMU, and for one simulation."""
+"""Shares of the remaining time for loading the FMU, and for one simulation."""
 
 CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
     lambda subject: [stop_time(subject), instances(subject)],
@@ -248,7 +248,7 @@ CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
     corners,
     derivatives,
 )
-"""All checks, in the order in which they get their time."""
+"""All checks, in the order in which they run."""
 
 
 def run_checks(
@@ -259,23 +259,23 @@ def run_checks(
     declared: bool = True,
     open_bench: Callable[[Model, Sequence[Experiment]], ProbeBench] = ProbeBench.open,
 ) -> CheckPage:
-    """Check for all that keeps an FMU from being fitted, or makes that slow or wrong.
+    """Check for everything that prevents a fit of an FMU, or makes it slow or wrong.
 
-    Every call of the FMU is in a process of its own, which is ended when its time is over.
+    Every call of the FMU is in a separate process, which is ended when its time is over.
 
     Parameters
     ----------
     problem
-        To be fitted.
+        The problem to be fitted.
     resources
-        For the fit.
+        Resources of the fit.
     seconds
-        That the checks share. Loading the project itself takes a second or two beside. With 0
-        the FMU is not tried at all.
+        Time for all checks together. Loading the project takes one or two additional seconds. With
+        0, the FMU is not called at all.
     declared
         True if a config declares the parameters to be estimated.
     open_bench
-        Opens the place where the FMU is asked.
+        Opens the bench on which the FMU is tested.
     """
     description = problem.describe()
     data = data_findings(problem, description) if declared else []
@@ -283,7 +283,7 @@ def run_checks(
         description.check_platform(problem.model.interface)
         said = "everything was read, and nothing was simulated"
         return CheckPage((*data, not_done("simulates", said, _MORE)), ())
-    # before the time of the checks begins: Ray takes a second to import
+    # before the time starts: the import of Ray takes a second
     in_process = executor_class(resources.executor).in_process
     model = resources.limited(problem.model)
     with open_bench(model, problem.experiments) as bench:
@@ -320,7 +320,7 @@ def run_checks(
 
 
 def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> list[CheckFinding]:
-    """Run all checks on one of the experiments that could be simulated."""
+    """Run all checks on one of the experiments that can be simulated."""
     successful = [s for s in simulations if s.outcome.ok]
     if not successful:
         late = any(s.outcome.status is Status.TIMEOUT for s in simulations)
@@ -348,16 +348,16 @@ def _done_again(
     own: list[CheckFinding],
     subject: CheckSubject,
 ) -> list[CheckFinding]:
-    """Return what a check finds in the time left over, where it had too little of its share."""
+    """Repeat a check in the remaining time if its time was too short; return its findings."""
     if all(each.verdict is not CheckVerdict.NOT_DONE for each in own):
         return own
     return check(replace(subject, share=SHARE_OF_LEFTOVER))
 
 
 def _most_telling(simulations: list[Simulation]) -> Simulation:
-    """Return the shortest of the simulations in which the most outputs move.
+    """Return the simulation with the most changing outputs, and of these the shortest.
 
-    Shortest by its samples, not by the clock, or each check would say something else.
+    Length is the number of samples and not the time, so that the choice is reproducible.
     """
     seen = [simulation.outcome.trajectory for simulation in simulations]
     ranges = [
@@ -377,7 +377,7 @@ def _not_loaded(stopped: NoAnswer) -> CheckFinding:
 
 
 def _simulate(subject: CheckSubject) -> list[Simulation]:
-    """Simulate each experiment once, at the start values, as far as there is time."""
+    """Simulate each experiment once at the start values, as long as there is time."""
     problem, space = subject.problem, subject.space
     values = space.physical(space.start)
     found: list[Simulation] = []
@@ -399,7 +399,7 @@ def _simulate(subject: CheckSubject) -> list[Simulation]:
 def _simulation_findings(
     subject: CheckSubject, simulations: list[Simulation], cure: Remedy
 ) -> list[CheckFinding]:
-    """Return a finding for all experiments that can be simulated, and one for each that cannot."""
+    """Return a finding for the experiments that can be simulated, and one for each other."""
     successful = [s for s in simulations if s.outcome.ok]
     lines = []
     for simulation in simulations:
@@ -426,7 +426,7 @@ def _simulation_findings(
 
 
 def _advice(outcome: Outcome) -> str:
-    """Return what to do about a simulation that failed, by the way it ended."""
+    """Return advice for a failed simulation, depending on its failure."""
     if outcome.message.startswith(MESSAGES[TERMINATED]):
         return "write a config with an experiment that stops before that time"
     if 'model.solver = "cvode"' in outcome.message:

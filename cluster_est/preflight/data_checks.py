@@ -1,4 +1,4 @@
-"""Checks of the data: inputs without any, gaps and jumps in them, odd samples, weights."""
+"""Checks of the data: missing inputs, gaps and jumps, outliers, and weights."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
 STEP_OVER_DEVIATION = math.sqrt(12.0)
-"""Step of a rounding, over the standard deviation of its error; see `quantisation_step`."""
+"""Ratio of a rounding step to the standard deviation of its error; see `quantisation_step`."""
 FEW_OUTLIERS = 0.01
-"""Largest share of outliers among the samples; if there are more, they are part of the signal."""
+"""Largest share of outliers among the samples; a larger share belongs to the signal."""
 FEWEST_VALUES = 20
-"""Least number of different values of a signal with outliers; a signal with fewer has levels."""
+"""Smallest number of distinct values of a signal with outliers; with fewer, it has levels."""
 GAP = 1.5
-"""Least length of a gap of an input, in sampling intervals."""
+"""Smallest length of a gap of an input, in sampling intervals."""
 
 
 def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
@@ -54,7 +54,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
 
 
 def _readings(problem: Problem) -> list[CheckFinding]:
-    """Return a line for what was found out about the files, with how many experiments it is of."""
+    """Return a finding for each note on the reading of files, with the number of experiments."""
     said: dict[str, list[str]] = {}
     for table in problem.tables:
         for each in table.notes:
@@ -82,7 +82,7 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
 
 
 def _gaps_of_records(problem: Problem) -> list[CheckFinding]:
-    """Return a line for the gaps of each record, with what becomes of what is behind them."""
+    """Return a finding on the gaps of each record, with their treatment."""
     return [
         passed("gaps", said, do) if treatment == "run through" else note("gaps", said, do)
         for said, do, treatment in gap_findings(problem.gaps)
@@ -90,12 +90,12 @@ def _gaps_of_records(problem: Problem) -> list[CheckFinding]:
 
 
 def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
-    """Return a line for each input with samples missing, with its longest gap."""
+    """Return a finding for each input with missing samples, with its longest gap."""
     worst: dict[str, tuple[float, str]] = {}
     for each in problem.experiments:
         for given in each.inputs:
             held = given.interpolation == "hold" or description.holds(given.variable)
-            if held:  # a signal that is noted when it changes
+            if held:  # it may be recorded only at changes
                 continue
             found = _gaps(given.times, _rows(each, problem.gaps), each)
             if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
@@ -108,12 +108,12 @@ def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFindi
 
 
 def _stand_ins(problem: Problem) -> list[CheckFinding]:
-    """Return a line for each number in the data that hardly is a measurement."""
+    """Return a finding for each number in the data that is probably not a measurement."""
     return [note("missing", said, do) for said, do in problem.data_findings]
 
 
 def _outlying(problem: Problem) -> list[CheckFinding]:
-    """Return a line for each output with single samples far from their neighbours."""
+    """Return a finding for each output with single samples far from their neighbours."""
     runs = [each for each in problem.experiments if each.role == "train"]
     if not isinstance(problem.cost, SumSquared):
         return []
@@ -137,7 +137,7 @@ def _outlying(problem: Problem) -> list[CheckFinding]:
 
 
 def _alone(experiment: Experiment, output: Output) -> int:
-    """Return how many samples of an output are outliers; none of one that has hardly any values."""
+    """Return the number of outliers of an output; 0 if it has few distinct values."""
     values = output.values
     if output.ordinal or len(np.unique(values)) < FEWEST_VALUES or stand_ins(values):
         return 0
@@ -151,7 +151,7 @@ def _alone(experiment: Experiment, output: Output) -> int:
 
 
 def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
-    """Return a line for each input that jumps, and is interpolated by straight lines."""
+    """Return a finding for each input that jumps and is interpolated linearly."""
     return [
         note("jumps", said, remedy)
         for said, remedy in jump_findings(problem.experiments, description.holds, problem.columns)
@@ -159,13 +159,13 @@ def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFindi
 
 
 def _rounded(problem: Problem) -> list[CheckFinding]:
-    """Return a line for each output whose rounding alone is more than its sigma."""
+    """Return a finding for each output whose rounding error exceeds its sigma."""
     worst: dict[str, tuple[float, float, Experiment]] = {}
     for each in problem.experiments:
         for output in each.outputs:
             step = quantisation_step(output.values)
             times = step / STEP_OVER_DEVIATION / float(output.sigmas.min(initial=np.inf))
-            # a sigma of 1 is what stands where none is given, and says nothing of the sensor
+            # without a given sigma, nothing is known about the sensor
             if (
                 output.has_sigma
                 and not output.ordinal
@@ -186,9 +186,9 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
 
 
 def _rows(experiment: Experiment, gaps: Sequence[RecordGap]) -> FloatArray:
-    """Return all times at which anything was measured in the simulated interval.
+    """Return all measured times in the simulated interval.
 
-    Without those in gaps that are told of already.
+    Times within gaps that are already reported are omitted.
     """
     inputs = [each.times for each in (*experiment.inputs, *experiment.signals)]
     outputs = [each.times for each in experiment.outputs]
@@ -201,10 +201,10 @@ def _rows(experiment: Experiment, gaps: Sequence[RecordGap]) -> FloatArray:
 
 
 def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[float, str] | None:
-    """Return the longest gap of an input, and a sentence on all of them; None without any.
+    """Return the longest gap of an input, and a sentence on all gaps; None without gaps.
 
-    A gap is longer than the usual interval, and other signals were measured in it: an input that
-    is sampled more slowly than they are, or a time at which nothing was measured, is no gap.
+    A gap is longer than the usual interval, and other signals were measured in it. A lower sampling
+    rate than that of other signals is not a gap, nor is an interval in which nothing was measured.
     """
     if len(times) < 2:
         return None
@@ -231,7 +231,7 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
 
 
 def long_records(config: Config, problem: Problem) -> list[CheckFinding]:
-    """Return a line on what becomes of long records, where they are thinned."""
+    """Return a finding on the treatment of long records, if they are thinned."""
     most = config.thinning.most()
     found = thinned(problem, most)
     said = (
@@ -249,7 +249,7 @@ def long_records(config: Config, problem: Problem) -> list[CheckFinding]:
 
 
 def sigma_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
-    """Return a line if sigma is given for some outputs and not for others."""
+    """Return a finding if sigma is given for some outputs and not for others."""
     if config.cost.normalise != "sigma" or config.cost.name == "likelihood":
         return []
     given: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""The content of a first config, before it is text: parameters, bounds, experiments."""
+"""The contents of a first config, before it is written: parameters, bounds, experiments."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from workers.fmu.variable import ModelVariable
 from workers.messages import Role
 
 TIME_NAME = "time"
-"""Stands for the time, whatever the FMU calls it."""
+"""Name that means the time, whatever its name in the FMU."""
 
 
 def check_variables(mapping: Mapping[str, str], description: ModelDescription) -> None:
-    """Refuse names of no variable, and of variables that no column can be for.
+    """Refuse names that are not variables, and variables that cannot have a column.
 
     Raises
     ------
     ModelError
-        With the nearest name.
+        With the most similar name.
     """
     measurable = [v.name for v in description.variables.values() if v.is_computed]
     inputs = [v.name for v in description.inputs()]
@@ -53,7 +53,7 @@ def check_columns(mapping: Mapping[str, str], tables: Sequence[TableColumns]) ->
     Raises
     ------
     DataError
-        With the nearest column and all others.
+        With the most similar column and all others.
     """
     for name, column in mapping.items():
         if any(column in table.named for table in tables):
@@ -75,20 +75,20 @@ def check_columns(mapping: Mapping[str, str], tables: Sequence[TableColumns]) ->
 
 @dataclass(frozen=True)
 class DraftExperiment:
-    """One measured table as an experiment.
+    """A measured table as an experiment.
 
     Attributes
     ----------
     id, columns, role
-        Of the experiment.
+        Id, columns and role of the experiment.
     inputs, outputs
         The variables of the FMU, and the columns found for them.
     further
-        Other variables of the FMU that have a column of their name.
+        Other variables of the FMU that have a column with their name.
     test
-        (column, value) of a test in its table; the value is "" where it stands for each of several.
+        (column, value) of a test in its table; the value is "" if it represents several tests.
     lines
-        Of the config that only the origin of the table knows.
+        Lines of the config that follow from the origin of the table.
     """
 
     id: str
@@ -108,7 +108,7 @@ class DraftExperiment:
 
 @dataclass(frozen=True)
 class ConfigDraft:
-    """The content of a first config."""
+    """The contents of a first config."""
 
     fmu: Path
     description: ModelDescription
@@ -129,19 +129,19 @@ def draft(
     Parameters
     ----------
     fmu
-        The model.
+        Path of the FMU.
     data
-        Tables, one an experiment; the last of several is held out. Or one folder of tables, or
-        none: then the FMU's own reference results.
+        Tables, one for each experiment; the last of several is held out. Or one folder of tables.
+        Empty for the FMU's own reference results.
     mapping
-        Variables of the FMU, or "time", with the columns that they have.
+        Columns of variables of the FMU, or of "time".
     reading
-        What is known of the tables' files.
+        Known options for reading the tables.
 
     Raises
     ------
     ModelError, DataError
-        If one of them cannot be read, or is named twice, or the mapping names what is not there.
+        If a file cannot be read, or is named twice, or if the mapping contains unknown names.
     """
     known = {} if mapping is None else mapping
     _check_once(data)
@@ -180,7 +180,7 @@ def draft(
 
 
 def _tables(given: Sequence[DraftSource], time: str) -> list[tuple[DraftSource, TableColumns]]:
-    """Return the columns of each source; a file with many tests is read once."""
+    """Return the columns of each source; a file with several tests is read once."""
     read: dict[tuple[Path, Reading], TableColumns] = {}
     for each in given:
         if (each.path, each.reading) not in read:
@@ -189,7 +189,7 @@ def _tables(given: Sequence[DraftSource], time: str) -> list[tuple[DraftSource, 
 
 
 def _of_tests(run: DraftExperiment, *, alone: bool) -> list[DraftExperiment]:
-    """Return one entry for all tests of a file but the last, and one for that, held out."""
+    """Return an entry for all tests of a file, and one for the held-out last test."""
     columns, name = run.columns, "*" if alone else f"{run.id} *"
     last = columns.tests[-1]
     several = replace(run, id=name, test=(columns.split_by, ""))
@@ -202,7 +202,7 @@ def _of_tests(run: DraftExperiment, *, alone: bool) -> list[DraftExperiment]:
 def _with_known(
     candidate: ParameterCandidate, known: Mapping[str, KnownParameter]
 ) -> ParameterCandidate:
-    """Return a parameter as a folder of tables says; it is estimated if that says so."""
+    """Return a parameter with values from a folder of tables, which may exclude its estimation."""
     if not known:
         return candidate
     given = known.get(candidate.variable.name)
@@ -257,7 +257,7 @@ def _run(
 
 
 def _refuse_spoiled(variables: Sequence[ModelVariable], columns: TableColumns) -> None:
-    """Refuse a table whose column of a variable has something in it that is no number."""
+    """Refuse a table in which the column of a variable contains values that are not numbers."""
     spoiled = [TableColumn(name, *split_unit(name)) for name in columns.refused]
     for column in same(variables, spoiled).values():
         raise DataError(columns.refused[column.name])
@@ -278,7 +278,7 @@ def _check_once(data: Sequence[Path]) -> None:
 
 
 def _ids(stems: Sequence[str]) -> list[str]:
-    """Return names, with a number where several are the same."""
+    """Return names, with a number if several are equal."""
     found: list[str] = []
     for stem in stems:
         name, number = stem, 2
@@ -289,23 +289,23 @@ def _ids(stems: Sequence[str]) -> list[str]:
 
 
 MOST_ACTIVE = 6
-"""Parameters estimated at once in a first config: more are seldom determined by a few tables."""
+"""Number of parameters estimated in a first config; a few tables seldom determine more."""
 MOST_LISTED_VARIABLES = 60
 GUESSED_BOUND_FACTOR = 10.0
-"""Guessed bounds are the start over and times this."""
+"""Guessed bounds are the start divided and multiplied by this factor."""
 
 _CONSTANTS = {
     "g": "m/s2", "gravity": "m/s2", "pi": "1", "e": "1", "R_gas": "J/(mol.K)", "c_light": "m/s",
     "k_B": "J/K", "sigma_SB": "W/(m2.K4)", "T_ref": "K", "p_ref": "Pa",
 }  # fmt: skip
-"""Constants of nature and reference values, with a unit to which theirs can be converted."""
+"""Constants of nature and reference values, each with a unit to which theirs is convertible."""
 _SETTINGS = re.compile(
     r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|sample\w*|n_\w+|use_\w+|delay_buffer)$"
 )
 _SPECIFIC_HEAT = re.compile(r"k?J/(\(kg[.* ]?(K|degC)\)|kg/(K|degC)|kg[.](K|degC))")
 _INITIAL = re.compile(r"(?i)(^|[._])(\w*_init(ial)?|\w*_start|x0|v0)$")
 _KELVINS = 50.0
-"""Kelvins to both sides of a temperature: a tenth and ten times of it would be no temperatures."""
+"""Guessed bounds of a temperature are the start minus and plus this number of kelvins."""
 
 
 @dataclass(frozen=True)
@@ -315,13 +315,13 @@ class ParameterCandidate:
     Attributes
     ----------
     bounds
-        Lower and upper; None where they are not known and cannot be guessed.
+        Lower and upper bound; None if they are unknown and cannot be guessed.
     origin
         The origin of the bounds, for a comment.
     why_not
         The reason why it is not estimated at first; "" if it is.
     per
-        "experiment" if each is likely to have a value of its own; else "".
+        "experiment" if each experiment probably has its own value; otherwise "".
     scale
         "linear" or "log".
     """
@@ -357,7 +357,7 @@ def candidates(description: ModelDescription) -> list[ParameterCandidate]:
 
 
 def initial_states(description: ModelDescription) -> list[ModelVariable]:
-    """Return the states whose start can be set."""
+    """Return the states whose start value can be set."""
     states = (description.variables[name] for name in description.states)
     return [v for v in states if v.settable and v.kind == "real"]
 
@@ -368,7 +368,7 @@ def _can_be_estimated(variable: ModelVariable) -> bool:
 
 
 def _why_not(variable: ModelVariable, start: float) -> str:
-    """Return why a parameter is none of the likely ones; "" if it is one."""
+    """Return why a parameter is not a likely candidate; "" if it is."""
     if variable.size > 1:
         return "one element of an array"
     unit = _CONSTANTS.get(variable.name)

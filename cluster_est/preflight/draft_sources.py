@@ -1,7 +1,7 @@
-"""What a first config is drafted from: files, the tests in one, what an FMU carries, and folders.
+"""Sources of a first config: files, tests in a file, reference results in an FMU, and folders.
 
-A folder has the tables of PEtab (Schmiester et al., PLoS Comput Biol 17, 2021,
-doi:10.1371/journal.pcbi.1008646): `measurements` with a row for each value, and, if they are there,
+A folder contains the tables of PEtab (Schmiester et al., PLoS Comput Biol 17, 2021,
+doi:10.1371/journal.pcbi.1008646): `measurements` with a row for each value, and optionally
 `conditions`, `observables` and `parameters`, as .tsv or .csv.
 """
 
@@ -28,26 +28,26 @@ from cluster_est.toml import dotted, inline
 from workers.messages import Value
 
 ROLES = ("measurements", "conditions", "observables", "parameters")
-"""Tables of a folder, each found by the beginning of a part of its name."""
+"""Tables of a folder, each recognised by the beginning of a part of its name."""
 ENDINGS = (".tsv", ".csv")
 
 
 @dataclass(frozen=True)
 class DraftSource:
-    """A table, or a test in one, that becomes an experiment.
+    """A table, or a test in a table, that becomes an experiment.
 
     Attributes
     ----------
     path
-        Of the file.
+        Path of the file.
     id
-        Of the experiment; "" for one named after the file.
+        Id of the experiment; "" for the name of the file.
     reading
-        What is known of the file.
+        Known options for reading the file.
     test
-        (column, value) of a test in it; None for all of it.
+        (column, value) of a test in it; None for the complete file.
     lines
-        Of the config that only its origin knows.
+        Lines of the config that follow from its origin.
     """
 
     path: Path
@@ -59,14 +59,14 @@ class DraftSource:
 
 @dataclass(frozen=True)
 class KnownParameter:
-    """What a folder says of a parameter.
+    """A parameter in the tables of a folder.
 
     Attributes
     ----------
     start, bounds, scale
-        Of the estimation; bounds are None where they are not given.
+        For the estimation; bounds are None if they are not given.
     estimate
-        Whether it is estimated; else `start` is its value.
+        Whether it is estimated; otherwise `start` is its value.
     """
 
     start: float
@@ -77,16 +77,16 @@ class KnownParameter:
 
 @dataclass(frozen=True)
 class DraftSources:
-    """All tables, and what else their origin says.
+    """All tables, and other information from their origin.
 
     Attributes
     ----------
     tables
-        In their order.
+        Tables in their order.
     mapping
         Columns of variables.
     parameters
-        By name.
+        Parameters by name.
     """
 
     tables: tuple[DraftSource, ...]
@@ -95,7 +95,7 @@ class DraftSources:
 
 
 def sources(fmu: Path, data: Sequence[Path], reading: Reading) -> DraftSources:
-    """Find the tables of files and folders, or those in the FMU where none are named.
+    """Find the tables of files and folders, or those in the FMU if none are named.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def _folder(folder: Path, reading: Reading) -> DraftSources:
 
 
 def _file(folder: Path, role: str) -> Path | None:
-    """Return the table of a folder that is called as a role."""
+    """Return the table of a folder with a role."""
     found = [
         path
         for path in sorted(folder.iterdir())

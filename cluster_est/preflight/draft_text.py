@@ -1,4 +1,4 @@
-"""A first config as text: the model, its parameters, what experiments share, what each has."""
+"""A first config as text: the model, its parameters, defaults, and experiments."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def open_lines(text: str) -> list[tuple[int, str]]:
 
 
 def write(draft: ConfigDraft, folder: Path) -> str:
-    """Return a draft as a config that will stand in a folder; its paths start from there."""
+    """Return a draft as the text of a config in a folder, to which its paths are relative."""
     lines = [
         f"# A first config for {draft.fmu.name}, made by cluster-est init. Names on the left are",
         "# the FMU's, names on the right are columns of the tables. Next: cluster-est check",
@@ -114,22 +114,22 @@ def _parameter(candidate: ParameterCandidate) -> str:
 
 
 def _clean(line: str) -> str:
-    """Return a line without control characters, which TOML allows in no comment."""
+    """Return a line without control characters, which TOML forbids in comments."""
     return "".join(c if c >= " " and c != "\x7f" else " " for c in line)
 
 
 MOST_UNMATCHED_OUTPUTS = 20
-"""Outputs that are looked at for a comment where no column is like them."""
+"""Largest number of outputs without a similar column that a comment names."""
 MOST_PROPOSED_SIGNALS = 20
-"""Columns that are proposed as signals."""
+"""Largest number of columns that are proposed as signals."""
 
 
 def experiments(
     runs: Sequence[DraftExperiment], description: ModelDescription, folder: Path
 ) -> Iterator[str]:
-    """Yield the lines of all experiments of a config that will stand in a folder.
+    """Yield the lines of all experiments of a config in a folder.
 
-    What several experiments have in common stands once, as their defaults.
+    Common keys of several experiments are written once, as defaults.
     """
     noise = _shared_noise(runs)
     bodies = [list(_body(run, noise, description)) for run in runs]
@@ -154,9 +154,9 @@ def experiments(
 
 
 def _shared(bodies: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines that all of several experiments have; comments only where all is the same.
+    """Return the lines common to several experiments; comments only if all lines are common.
 
-    A comment would else be torn from the lines that it speaks of.
+    Otherwise a comment would be separated from the lines that it describes.
     """
     if len(bodies) < 2:
         return []
@@ -172,7 +172,7 @@ def _shared(bodies: Sequence[Sequence[str]]) -> list[str]:
 def _body(
     run: DraftExperiment, noise: Mapping[str, float], description: ModelDescription
 ) -> Iterator[str]:
-    """Yield what an experiment says of its table."""
+    """Yield the lines of an experiment about its table."""
     columns = run.columns
     yield from _reading(run)
     yield from _time(run)
@@ -194,7 +194,7 @@ def _body(
 
 
 def _reading(run: DraftExperiment) -> Iterator[str]:
-    """Yield the keys that say how its file is read, and what was found out about it."""
+    """Yield the keys for reading an experiment's file, and notes about it."""
     columns = run.columns
     for key, value in vars(columns.reading).items():
         if key == "long" and value is not None:
@@ -210,7 +210,7 @@ def _reading(run: DraftExperiment) -> Iterator[str]:
 
 
 def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> Iterator[str]:
-    """Yield columns that nothing uses as signals."""
+    """Yield unused columns as signals."""
     taken = {*description.variables, "t", "s"}
     yield "# Uncomment signals that may matter, such as a temperature: effects may depend on them."
     for column in unused[:MOST_PROPOSED_SIGNALS]:
@@ -264,17 +264,17 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) 
 
 
 def _held(column: TableColumn, name: str) -> str:
-    """Return an input's column as TOML; one that jumps keeps each sample until the next."""
+    """Return an input's column as TOML; a jumping input is held between samples."""
     return f'{{ column = {name}, interpolation = "hold" }}' if column.jumps else name
 
 
 def _why_held(column: TableColumn) -> str:
-    """Say why each sample of an input is kept, where it is."""
+    """Return why an input is held between samples, or ""."""
     return 'it jumps; a fit reports if the data prefer "linear"' if column.jumps else ""
 
 
 def _why_taken(match: ColumnMatch) -> str:
-    """Say why a column of another name is taken."""
+    """Return why a column with another name is used."""
     return "the only column whose unit matches" if match.by_unit else ""
 
 
@@ -304,7 +304,7 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
 
 
 def _unusable(run: DraftExperiment, name: str) -> str:
-    """Return what is wrong with a column that is called as a variable, if there is one."""
+    """Return what is wrong with a column that has the name of a variable, if there is one."""
     for column, why in run.columns.unusable.items():
         if fold(split_unit(column)[0]) == fold(name):
             return f"column {column!r} {why}"
@@ -312,7 +312,7 @@ def _unusable(run: DraftExperiment, name: str) -> str:
 
 
 def _open_outputs(run: DraftExperiment) -> Iterator[str]:
-    """Yield outputs that may be one of the columns left over, though no name is similar."""
+    """Yield outputs that may be one of the remaining columns, without a similar name."""
     certain = any(m.column is not None for m in (*run.outputs, *run.further))
     first = run.outputs[:1]
     for match in run.outputs[:MOST_UNMATCHED_OUTPUTS]:
@@ -324,7 +324,7 @@ def _open_outputs(run: DraftExperiment) -> Iterator[str]:
 
 
 def _open_conversions(run: DraftExperiment, unused: list[TableColumn]) -> Iterator[str]:
-    """Yield conversions of the columns left over, in case one is an open variable."""
+    """Yield conversions of the remaining columns, in case one is an open variable."""
     open_ = [m.variable.unit for m in (*run.inputs, *run.outputs) if m.column is None]
     for column in unused:
         for unit in dict.fromkeys(open_):
@@ -335,13 +335,13 @@ def _open_conversions(run: DraftExperiment, unused: list[TableColumn]) -> Iterat
 
 
 def _compared(run: DraftExperiment) -> list[tuple[ModelVariable, TableColumn]]:
-    """Return the outputs that are written with a column, also one to be confirmed."""
+    """Return the outputs written with a column, including a column to be confirmed."""
     certain = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
     return certain or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
 
 
 def _shared_noise(runs: Sequence[DraftExperiment]) -> dict[str, float]:
-    """Return one guess of the noise of each output where all experiments compare the same."""
+    """Return one guess of the noise of each output if all experiments compare the same."""
     compared = [{v.name: c for v, c in _compared(run)} for run in runs]
     named = [{name: column.name for name, column in own.items()} for own in compared]
     if any(own != named[0] for own in named):
@@ -350,7 +350,7 @@ def _shared_noise(runs: Sequence[DraftExperiment]) -> dict[str, float]:
 
 
 def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
-    """Yield guesses of the noise of each output, by which several outputs are weighted."""
+    """Yield guesses of the noise of each output, which determine the weights of the outputs."""
     compared = _compared(run)
     guesses = [_in_unit(noise.get(v.name, c.noise), c, v) for v, c in compared]
     several = len(compared) > 1 and all(guesses)
@@ -364,13 +364,13 @@ def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
 
 
 def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
-    """Return a column's noise in the unit of its variable, to two digits."""
+    """Return a column's noise in the unit of its variable, with two digits."""
     found = conversion(column.unit, variable.unit)
     return float(f"{noise * (1.0 if found is None else found.factor):.2g}")
 
 
 def _conversions(run: DraftExperiment) -> Iterator[str]:
-    """Yield lines for columns whose unit is not that of their variable."""
+    """Yield lines for columns whose unit differs from that of their variable."""
     time = run.columns.time
     if time is not None and time.unit == DAYS_OR_SECONDS:
         value = inline(
@@ -418,7 +418,7 @@ def said(variable: ModelVariable, more: str = "") -> str:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a path from a folder, with slashes; absolute where there is no relative one."""
+    """Return a path relative to a folder, with slashes; absolute if that is not possible."""
     try:
         found = os.path.relpath(path.resolve(), folder.resolve())
     except ValueError:  # on another drive

@@ -1,4 +1,4 @@
-"""Checks of parameters: their effects, and the ranges that the FMU declares."""
+"""Checks of parameters: their influence, and the ranges that the FMU declares."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from workers.process.trial import NoAnswer
 CHANGE = 0.01
 """Change of an unknown, in noticeable changes."""
 UNKNOWN_EFFECT = 1e-300
-"""Stands for an effect that was not computed in every experiment."""
+"""Placeholder for an influence that was not computed in every experiment."""
 ROUNDING_OF_OUTPUTS = 1e-9
-"""Effect on the outputs, over their size, below which it drowns in rounding."""
+"""Relative influence on the outputs below which rounding dominates."""
 TRIED_DIFFERENCE_STEPS = tuple(10.0**-k for k in range(3, 9))
-"""Relative steps of differences that are tried."""
+"""Relative steps of finite differences to try."""
 DERIVATIVE_AGREEMENT = 0.02
-"""Largest relative difference of derivatives that count as the same."""
+"""Largest relative difference of derivatives that count as equal."""
 
 
 def effects(subject: CheckSubject) -> list[CheckFinding]:
-    """Change each parameter a little, alone, and return its effect on the outputs."""
+    """Change each parameter slightly, one at a time, and return findings on its influence."""
     unknowns = _unknowns(subject)
     if not unknowns:
         return []
@@ -89,7 +89,7 @@ def _unknowns(subject: CheckSubject) -> list[tuple[int, Unknown]]:
 
 
 def _effect_elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
-    """Return the first effect in other experiments; `UNKNOWN_EFFECT` if time is too short."""
+    """Return the first influence in other experiments; `UNKNOWN_EFFECT` if time is too short."""
     for e in unknown.experiments:
         other = replace(subject, experiment=e)
         if e == subject.experiment:
@@ -106,7 +106,7 @@ def _effect_elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> f
 
 
 def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
-    """Return values with one unknown changed by a share of its size, inside its bounds."""
+    """Return values with one unknown changed by a share of its size, within its bounds."""
     space = subject.space
     x = space.start.copy()
     step = share * float(space.typical[column])
@@ -138,7 +138,7 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
 
 
 def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
-    """Return one line for parameters that may be dead only because nothing drives the model."""
+    """Return a finding on parameters without influence if nothing drives the model."""
     if not subject.declared or not names:
         return []
     silent = silent_inputs(subject.problem, subject.description)
@@ -174,7 +174,7 @@ def _failed(name: str, said: str) -> CheckFinding:
 
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
-    """Return the smallest relative step of trustworthy differences."""
+    """Return a finding on the smallest relative step of reliable differences."""
     points = np.array([_moved(subject, column, step) for step in TRIED_DIFFERENCE_STEPS])
     probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 3.0, 0.1))
     found = subject.ask(probe, 1 + len(TRIED_DIFFERENCE_STEPS))
@@ -236,7 +236,7 @@ def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
 
 
 def corners(subject: CheckSubject) -> list[CheckFinding]:
-    """Simulate with all parameters at their lower, then at their upper bounds, where finite."""
+    """Simulate with all parameters at their lower, then at their upper bounds, if finite."""
     space = subject.space
     named = []
     for name, bound in (("lower", space.lower), ("upper", space.upper)):

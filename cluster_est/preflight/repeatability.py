@@ -1,4 +1,4 @@
-"""Checks that a simulation is the same again: reset, instances and chance."""
+"""Checks that a simulation is repeatable: reset, instances and randomness."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ from workers.process.trial import NoAnswer
 
 FRESH = "processes" if CAN_FORK else "instances"
 EarlierSimulation = tuple[float, FloatArray] | None
-"""When a simulation began, and its outputs."""
+"""Start time of a simulation, and its outputs."""
 TRIED_RESET_POLICIES: tuple[tuple[ResetPolicy, ...], ...] = (
     ("reset", "instance"),
     ("instance",),
     (),
 )
-"""The policies that are tried, one set after the other, as long as the process crashes."""
+"""Sets of policies to try, one after the other as long as the process crashes."""
 
 
 def repeatable(
     subject: CheckSubject,
 ) -> tuple[list[CheckFinding], ResetPolicy | None, EarlierSimulation]:
-    """Compare a reset instance with a fresh one, and two fresh processes (or instances) together.
+    """Compare a reset instance with a new one, and two new processes (or instances).
 
-    Returns also the reset policy for all further checks, None if none makes simulations in one
-    process the same; and what `later` compares.
+    Also return the reset policy for all further checks, None if no policy makes simulations in one
+    process repeatable, and the simulation for `later`.
     """
     begun = time.monotonic()
     crash = ""
@@ -68,7 +68,7 @@ def repeatable(
     if isinstance(found, NoAnswer):
         return [unanswered("repeatable", found)], "reset", None
     again = subject.trajectory
-    if again is None or again.tobytes() != found.first.tobytes():  # that was after a reset
+    if again is None or again.tobytes() != found.first.tobytes():  # it was simulated after a reset
         other = subject.ask(probe, 2)
         if isinstance(other, NoAnswer):
             return [unanswered("repeatable", other)], "reset", None
@@ -85,7 +85,7 @@ def repeatable(
 
 
 def later(subject: CheckSubject, earlier: EarlierSimulation) -> list[CheckFinding]:
-    """Compare a simulation with what it was more than a second before, in another process."""
+    """Compare a simulation with one more than a second earlier, in another process."""
     if earlier is None:
         return []
     begun, first = earlier
@@ -155,10 +155,10 @@ def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> Chec
 
 
 def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
-    """Return a note if values survive a reset, which matters if experiments set different ones."""
+    """Return a note if values survive a reset; it matters if experiments differ in values."""
     other = np.where(subject.start == 0.0, PERTURBATION_FACTOR, PERTURBATION_FACTOR * subject.start)
     found = subject.ask(LeftoverProbe(subject.experiment, other), 3)
-    if isinstance(found, NoAnswer):  # an FMU that fails with its own values tells nothing of a fit
+    if isinstance(found, NoAnswer):  # a failure with the FMU's own values is irrelevant for a fit
         return [unanswered("values", found)] if found.late else []
     if found == 0.0:
         return []
@@ -174,7 +174,7 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def stop_time(subject: CheckSubject) -> CheckFinding:
-    """Return whether the FMU must be told when a simulation will end."""
+    """Return whether the FMU needs the stop time of a simulation."""
     found = subject.ask(StopTimeProbe(subject.experiment, subject.start), 0)
     if isinstance(found, NoAnswer):
         return unanswered("stop time", found)
@@ -191,7 +191,7 @@ def stop_time(subject: CheckSubject) -> CheckFinding:
 
 
 def instances(subject: CheckSubject) -> CheckFinding:
-    """Return the number of instances that one process can have."""
+    """Return a finding on the number of instances in one process."""
     most = InstanceProbe().max_count
     allowed = most if subject.instances is None else min(most, subject.instances)
     if allowed == 1:
@@ -211,7 +211,7 @@ def instances(subject: CheckSubject) -> CheckFinding:
 
 
 def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
-    """Return whether several instances are right if they are simulated at the same time."""
+    """Return a finding on whether several instances can be simulated at the same time."""
     can_be = f"{count} instances at the same time in one process"
     found = subject.ask(two_simulations(subject.problem, subject.experiment), 4)
     if found is True:
@@ -234,23 +234,23 @@ def _one_only(subject: CheckSubject, said: str) -> CheckFinding:
 
 
 COMMUNICATION_STEP_PARTS = (10.0, 100.0)
-"""Parts of the longest step that are tried as communication steps."""
+"""Divisors of the longest step that give communication steps to try."""
 SIMULATIONS_OF_REMEDY = 20
-"""Simulations for which there must be time; the FMU has just failed, so how long one takes is
-unknown."""
+"""Number of simulations for which there must be time. The FMU has just failed, so the time of a
+simulation is unknown."""
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """What lets it be simulated.
+    """A change with which the FMU can be simulated.
 
     Attributes
     ----------
     step
-        Communication step in seconds; None if that is no remedy.
+        Communication step in seconds; None if it does not help.
     refused
-        Parameters that the FMU's description lists as such, and that it refuses to be set; empty if
-        that is no remedy.
+        Parameters in the model description that the FMU refuses to set; empty if omitting them does
+        not help.
     """
 
     step: float | None = None
@@ -258,9 +258,9 @@ class Remedy:
 
 
 def remedy(subject: CheckSubject, simulations: Sequence[Simulation]) -> Remedy:
-    """Look for what lets the first experiment be simulated, where none can be.
+    """Look for a change with which the first experiment can be simulated, if none can be.
 
-    Nothing is looked for where an FMU was too slow, or took its process with it.
+    This is not tried if the FMU was too slow, or if its process crashed.
     """
     first = simulations[0]
     failed = first.outcome.status in (Status.SOLVER_FAILURE, Status.NOT_FINITE)
@@ -284,7 +284,7 @@ def remedy(subject: CheckSubject, simulations: Sequence[Simulation]) -> Remedy:
 
 
 def without_parameters(problem: Problem, names: Sequence[str]) -> Problem:
-    """Return the same problem, in which some parameters keep the FMU's own values."""
+    """Return the problem with the FMU's own values for some parameters."""
     kept = tuple(name for name in problem.model.parameters if name not in names)
     return replace(
         problem,
@@ -294,7 +294,7 @@ def without_parameters(problem: Problem, names: Sequence[str]) -> Problem:
 
 
 def refused_parameters(names: Sequence[str]) -> CheckFinding:
-    """Return a line for parameters that cannot be set."""
+    """Return a finding on parameters that cannot be set."""
     return note(
         "parameters",
         f"{listed(names)}: cannot be set in the FMU, although its modelDescription.xml says that "
@@ -304,7 +304,7 @@ def refused_parameters(names: Sequence[str]) -> CheckFinding:
 
 
 def _steps(subject: CheckSubject) -> list[float]:
-    """Shorter communication steps, the FMU's own first; none where there is nothing to choose."""
+    """Return shorter communication steps, the FMU's own first; empty if there is no choice."""
     model, description = subject.problem.model, subject.description
     if model.interface != "co_simulation" or not description.variable_steps:
         return []
@@ -315,7 +315,7 @@ def _steps(subject: CheckSubject) -> list[float]:
 
 
 def _works(subject: CheckSubject, variants: Sequence[SimulationVariant]) -> list[bool]:
-    """For each variant whether it can be simulated; fewer, where there was no time for all."""
+    """Return whether each variant can be simulated; fewer if there is no time for all."""
     if not variants:
         return []
     probe = RemedyProbe(

@@ -1,7 +1,7 @@
 """Checks of the solver: accuracy, stiffness and directional derivatives.
 
-A simulation with sensitivities is compared with those that differences take, but a config has to
-choose them: what a clock finds on one machine must not decide what another computes.
+The time of a simulation with sensitivities is compared with that of finite differences. Only the
+config selects sensitivities, because a result must not depend on the speed of a machine.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from workers.simulation.integrator import DEFAULT_RTOL
 from workers.simulation.jacobian import MAX_JACOBIAN_ERROR
 
 CHEAPER = 0.5
-"""Part of the time of differences from which sensitivities are recommended. Far from 1, because
-times vary, and because differences of a Jacobian run on all workers at once."""
+"""Sensitivities are recommended below this fraction of the time of differences. It is far from 1,
+because times vary, and because the differences of a Jacobian run on all workers at once."""
 SIMULATIONS_OF_TRIAL = 10
-"""Time that the trial takes about, in simulations without sensitivities."""
+"""Approximate time of the trial, in simulations without sensitivities."""
 
 
 def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
-    """The time of both; nothing where the FMU or the config leaves no choice."""
+    """Compare the times of sensitivities and differences, if the FMU and the config offer both."""
     model = subject.problem.model
     unknowns = len(subject.space.acting[subject.experiment])
     offered = subject.description.offer(model.interface).provides_directional_derivatives
@@ -68,13 +68,13 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
 
 
 COUNTING = 0.3
-"""Relative change above which an output may count the steps, however it is declared."""
+"""Relative change above which an output may count steps, regardless of its declaration."""
 GOOD_RELATIVE_CHANGE, BAD_RELATIVE_CHANGE = 1e-5, 1e-2
 """Relative changes of the outputs below which all is well, and above which there is a problem."""
 
 NOISE_GOOD, NOISE_BAD = 0.1, 1.0
-"""Absolute changes of the outputs, over the declared standard deviation of the noise, below which
-all is well, and above which there is a problem."""
+"""Changes of the outputs, relative to the declared standard deviation of the noise, below which all
+is well, and above which there is a problem."""
 
 
 def accuracy(subject: CheckSubject) -> list[CheckFinding]:
@@ -96,7 +96,7 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> list[CheckFinding]:
-    """Judge by the outputs that move between events; others may count steps."""
+    """Judge by the outputs that change between events; others may count steps."""
     names = subject.problem.experiments[subject.experiment].recorded
     pairs = list(zip(names, found.tolist(), strict=True))
     moving = [pair for pair in pairs if subject.description.variables[pair[0]].is_continuous]
@@ -127,7 +127,7 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
 
 
 def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> tuple[float, str]:
-    """Return the largest error of an output over its declared noise, and what is said of it."""
+    """Return the largest error of an output over its declared noise, and a text about it."""
     experiment = subject.problem.experiments[subject.experiment]
     given = [o for o in experiment.outputs if o.has_sigma and not o.ordinal]
     sigmas = {o.variable: o.sigma for o in given}
@@ -175,7 +175,7 @@ def longest_step(subject: CheckSubject) -> float:
 
 
 def stiffness(subject: CheckSubject) -> list[CheckFinding]:
-    """Check that an explicit solver suits a model in model exchange."""
+    """Check whether an explicit solver suits a model in model exchange."""
     model = subject.problem.model
     if model.interface != "model_exchange" or model.solver.name == "cvode":
         return []
@@ -189,7 +189,7 @@ def stiffness(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def derivatives(subject: CheckSubject) -> list[CheckFinding]:
-    """Compare directional derivatives with differences, in model exchange."""
+    """Compare directional derivatives with finite differences, in model exchange."""
     model = subject.problem.model
     exchange = model.interface == "model_exchange"
     offered = subject.description.offer(model.interface).provides_directional_derivatives
@@ -206,7 +206,7 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     if found.zero:
         said = "directional derivatives are declared, but all of them are 0"
         return [note(check, said, do)]
-    if not found.error <= MAX_JACOBIAN_ERROR:  # NaN is no agreement
+    if not found.error <= MAX_JACOBIAN_ERROR:  # NaN counts as a difference
         said = f"directional derivatives differ from finite differences by {found.error:.2g}"
         return [note(check, f"{said} of the largest derivative", do)]
     said = f"directional derivatives agree with finite differences within {found.error:.1g}"

@@ -1,4 +1,4 @@
-"""The problem that is checked, of a config or of an FMU alone, and the time for it."""
+"""The checked problem, from a config or from an FMU alone, and the time for the checks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CheckFinding:
     Attributes
     ----------
     verdict
-        A problem keeps a fit from its goal; a note is worth a thought.
+        A problem prevents a correct fit; a note should be considered.
     check
         Name of the check.
     found
@@ -59,19 +59,19 @@ class CheckFinding:
 passed, note = partial(CheckFinding, CheckVerdict.OK), partial(CheckFinding, CheckVerdict.NOTE)
 fault = partial(CheckFinding, CheckVerdict.PROBLEM)
 not_done = partial(CheckFinding, CheckVerdict.NOT_DONE)
-"""Each takes the name of the check, its result and, where something can be done, the advice."""
+"""Each takes the name of the check, its result and optionally the advice."""
 
 
 @dataclass(frozen=True)
 class CheckPage:
-    """All that a preflight found.
+    """All results of a preflight.
 
     Attributes
     ----------
     loads
         True if the FMU can be simulated at all.
     simulations
-        Of the experiments at the start values, as far as there was time.
+        Simulations of the experiments at the start values, as far as there was time.
     """
 
     findings: tuple[CheckFinding, ...]
@@ -88,23 +88,23 @@ MOST_LISTED_TEXTS = 5
 
 
 def listed(texts: Sequence[str]) -> str:
-    """Return the first of some texts in a row, and how many more there are."""
+    """Return the first texts of a list in one line, and the number of the others."""
     more = len(texts) - MOST_LISTED_TEXTS
     return ", ".join(texts[:MOST_LISTED_TEXTS]) + (f" and {more} more" if more > 0 else "")
 
 
 LEAST_PROBE_SECONDS = 0.2
-"""Seconds that must be left for a probe to be asked."""
+"""Seconds that must remain to run a probe."""
 
 
 PROBE_SHARE_OF_TIME = 1.0 / 3.0
-"""Share of the time left that a probe may take where that is more than it needs: with more time
-each check has more."""
+"""Share of the remaining time that a probe may take if this exceeds its need. So more time gives
+every check more time."""
 
 
 @dataclass
 class TimeBudget:
-    """Seconds that all checks share."""
+    """Time shared by all checks."""
 
     seconds: float
     begun: float
@@ -116,13 +116,13 @@ class TimeBudget:
 
     @property
     def left(self) -> float:
-        """Seconds that are left."""
+        """Remaining seconds."""
         return self.begun + self.seconds - time.monotonic()
 
 
 @dataclass(frozen=True)
 class CheckSubject:
-    """A problem with a process to probe its FMU in.
+    """A problem with a process in which its FMU is tested.
 
     Attributes
     ----------
@@ -131,21 +131,21 @@ class CheckSubject:
     growth
         Bytes after which its processes are replaced.
     instances
-        How many instances of the FMU may exist at once; None for any number.
+        Largest number of instances of the FMU at once; None for no limit.
     simulation_seconds
-        Of the first simulation of `experiment`.
+        Duration of the first simulation of `experiment`.
     experiment
-        Index of the experiment that is simulated.
+        Index of the simulated experiment.
     reset_policy
-        For its simulations, once it is known.
+        Reset policy of its simulations, once it is known.
     repeats
-        True if a simulation gives the same twice, so that small differences mean something.
+        True if a simulation is repeatable, so that small differences are meaningful.
     declared
         True if a config declares the parameters to be estimated.
     trajectory : (times, outputs)
-        Of the experiment in a process of its own, if known.
+        Trajectory of the experiment in a separate process, if known.
     share
-        Of the time left that a probe may take where that is more than it needs.
+        Share of the remaining time that a probe may take if this exceeds its need.
     """
 
     problem: Problem
@@ -175,16 +175,16 @@ class CheckSubject:
 
     @cached_property
     def start(self) -> FloatArray:
-        """(values,): of the model's parameters at the start, in the experiment."""
+        """Start values of the model's parameters in the experiment, (values,)."""
         return self.at(self.space.start)
 
     def at(self, x: FloatArray) -> FloatArray:
-        """Return them at a point of the space."""
+        """Return the values of the model's parameters at a point of the space."""
         count = len(self.problem.model.parameters)
         return np.ascontiguousarray(self.space.physical(x)[self.experiment, :count])
 
     def ask(self, probe: FmuProbe, simulations: int, most: float = 2.0) -> Any:
-        """Ask, if there is time for so many simulations; return `NoAnswer` if not."""
+        """Run a probe if there is time for that many simulations, else return `NoAnswer`."""
         left = self.budget.left
         needed = simulations * self.simulation_seconds
         if left < max(LEAST_PROBE_SECONDS, needed):
@@ -205,11 +205,11 @@ def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
 MOST_CHECKED_PARAMETERS, MOST_CHECKED_OUTPUTS = 12, 50
 NUMBER_OF_CHECKED_TIMES = 101
 DEFAULT_STOP = 1.0
-"""Seconds, where the FMU names no stop."""
+"""Seconds, if the FMU declares no stop time."""
 
 
 def bare_problem(path: Path) -> Problem:
-    """Return a problem to check: all outputs, and the first real parameters as if to be estimated.
+    """Return a problem for a check of an FMU alone: all outputs, and its first real parameters.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def _parameters(description: ModelDescription) -> list[ModelVariable]:
     ]
     constants = {v.name for v in description.variables.values() if v.variability == "constant"}
     own = [v for v in found if v.alias_of is None and not v.is_tool_setting]
-    once = {v.aliases or (v.name,): v for v in reversed(own)}  # the first of several names
+    once = {v.aliases or (v.name,): v for v in reversed(own)}  # the first of several aliases
     kept = [v for v in own if once[v.aliases or (v.name,)] is v]
     return [v for v in kept if constants.isdisjoint(v.aliases)][:MOST_CHECKED_PARAMETERS]
 
@@ -270,7 +270,7 @@ def _experiment(description: ModelDescription) -> Experiment:
 
 
 def _moving(description: ModelDescription) -> list[str]:
-    """Return what an FMU computes without calling it an output, and that may change."""
+    """Return computed variables of an FMU that are not outputs and that may change."""
     moves = ("continuous", "discrete")
     own = [v for v in description.variables.values() if v.alias_of is None and v.is_computed]
     return [v.name for v in own if v.variability in moves and not v.is_tool_setting]

@@ -1,4 +1,4 @@
-"""A column of a measured table: its name, the unit in it, and what is known of its values."""
+"""A column of a measured table: its name, its unit, and properties of its values."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
 
 
 MOST_PARTS = 3
-"""Parts of a name that may be a unit: "rad_per_s"."""
+"""Largest number of parts of a name that may be a unit, such as "rad_per_s"."""
 
 
 OF_VALUES = ("data", "values", "value", "signals")
-"""Parts of a name, in small letters, that say that it has the values of what stands before."""
+"""Last parts of a name, in lower case, that mean the values of what precedes them."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ class TableColumn:
     Attributes
     ----------
     name
-        As it stands in the table.
+        Name in the table.
     plain, unit
         "force" and "N" of "force [N]".
     noise
         A first guess of the standard deviation of its noise, in its unit; 0 without noise.
     jumps
-        Times that it jumps, if it keeps its value or moves little in between.
+        Number of jumps, if it is constant or changes little between them.
     increases
         Whether it increases from row to row.
     """
@@ -63,7 +63,7 @@ def fold(name: str) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return "force" and "N" of "force [N]"; the unit is "" where the name has no unit."""
+    """Return "force" and "N" of "force [N]"; the unit is "" if the name has no unit."""
     found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
     if found is None or not found.group(1).strip():
         return name, ""
@@ -71,16 +71,16 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
-    """Return "speed" and "rpm" of "speed_rpm"; None if the end of a name is no unit.
+    """Return "speed" and "rpm" of "speed_rpm"; None if the end of a name is not a unit.
 
     Parameters
     ----------
     name
-        Of a column.
+        Name of a column.
     wanted
-        The unit of its variable. The end of the name must be convertible to it: "x_m" may be
-        measured in metres, "u_m" of a voltage is not. Where it is "", only units of two letters and
-        more count, and not "min".
+        The unit of its variable, to which the end of the name must be convertible: "x_m" may be
+        measured in metres, but "u_m" of a voltage is not. If it is "", only units of at least two
+        letters count, without "min".
     """
     parts = name.split("_")
     for count in range(min(MOST_PARTS, len(parts) - 1), 0, -1):
@@ -97,6 +97,6 @@ def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
 
 
 def with_suffix(column: TableColumn, wanted: str) -> TableColumn:
-    """Return a column with the unit at the end of its name, if it has no other."""
+    """Return a column with the unit at the end of its name, if it has no other unit."""
     found = None if column.unit else split_suffix(column.name, wanted)
     return column if found is None else replace(column, plain=found[0], unit=found[1])

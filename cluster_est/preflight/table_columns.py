@@ -1,4 +1,4 @@
-"""The columns of a measured table: which are signals, which is the time, and whose they are."""
+"""The columns of a measured table: signals, time, and the variables to which they belong."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
 LEAST_GUESSED_NOISE = 1e-3
-"""Least guess of the noise, as a share of a signal's standard deviation."""
+"""Smallest guess of the noise, as a share of a signal's standard deviation."""
 LEAST_SAMPLES_FOR_NOISE = 10
-"""Samples from which on noise can be guessed at all."""
+"""Smallest number of samples from which noise is estimated."""
 
 
 @dataclass(frozen=True)
@@ -55,23 +55,23 @@ class TableColumns:
     Attributes
     ----------
     path
-        The table's file.
+        Path of the table's file.
     signals
-        Columns of numbers besides the time, as many rows as it has.
+        Columns of numbers except the time, with all rows.
     time
-        The column with the time; None if none is called so.
+        The column with the time; None if no column has such a name.
     increasing
-        Names of columns that increase from row to row, where there is no time.
+        Names of columns that increase from row to row, if there is no time.
     unusable
-        What is wrong with each column that holds no numbers, by its name.
+        Reasons why columns contain no numbers, by name.
     reading, found
-        What the user says of the file, and keys that say what was found.
+        The user's options for reading the file, and keys for what was detected.
     notes
-        How it was read, a sentence each.
+        Sentences about how it was read.
     split_by, tests
-        The column that tells apart the tests in it, and their names; empty where it is one.
+        The column that distinguishes tests in it, and their names; empty for a single test.
     refused
-        What is wrong in a column of numbers in which something is none, by its name.
+        Reasons for columns of numbers with a value that is not a number, by name.
     """
 
     path: Path
@@ -88,22 +88,22 @@ class TableColumns:
 
     @property
     def named(self) -> dict[str, TableColumn]:
-        """All columns of numbers by name, the time among them."""
+        """All columns of numbers by name, including the time."""
         every = self.signals if self.time is None else (self.time, *self.signals)
         return {column.name: column for column in every}
 
 
 def read_columns(path: Path, time_column: str = "", reading: Reading | None = None) -> TableColumns:
-    """Read a table and sort its columns.
+    """Read a table and classify its columns.
 
     Parameters
     ----------
     path
-        Of the table.
+        Path of the table.
     time_column
-        Name of the column with the time, if it has one of that name; else the name must tell.
+        Name of the column with the time, if the table has it; otherwise it is found by name.
     reading
-        What the user says of it.
+        The user's options for reading it.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
 
 
 def _notes_on_times(found: FoundTime) -> Iterator[str]:
-    """Say how times were read, and where rows are missing."""
+    """Yield notes on how times were read, and on missing rows."""
     if found.said:
         yield found.said
     gaps = long_steps(np.unique(found.seconds[np.isfinite(found.seconds)])).tolist()
@@ -164,9 +164,9 @@ def _notes_on_times(found: FoundTime) -> Iterator[str]:
 def _columns(
     table: MeasuredTable, time: FoundTime | None, split_by: str
 ) -> tuple[list[TableColumn], dict[str, str], dict[str, str]]:
-    """Return the columns of numbers that can be signals, the others, and what is wrong in some.
+    """Return the columns of numbers that can be signals, the others, and reasons for errors.
 
-    One is read at a time, so that a large file is not there twice.
+    Columns are read one at a time, so that a large file is not in memory twice.
     """
     refused: dict[str, str] = {}
     clocks = {*table.clocks.values(), *(() if time is None else time.names)}
@@ -206,7 +206,7 @@ def _columns(
 
 
 def _not_numbers(column: Column) -> str:
-    """Return what a column holds in place of numbers."""
+    """Return what a column contains instead of numbers."""
     if isinstance(column, np.ndarray) or not is_text(column):
         return "holds no numbers"
     there = trimmed_cells(column.slice(0, LOOKED_AT)).drop_null()
@@ -221,8 +221,9 @@ def _why_none(others: Mapping[str, str]) -> str:
 def _noise(values: FloatArray) -> float:
     """Estimate the standard deviation of a signal's noise from second differences.
 
-    A smooth signal has hardly any. Their median is taken, so that a few jumps do not count, and at
-    least a part of the signal's own deviation: sensors are no better.
+    The second differences of a smooth signal are small. Their median is used, so that a few jumps
+    have no influence. The result is at least a fraction of the signal's standard deviation, because
+    no sensor is more accurate.
     """
     finite = values[np.isfinite(values)]
     if len(finite) < LEAST_SAMPLES_FOR_NOISE:
@@ -236,12 +237,12 @@ def _increases(values: FloatArray) -> bool:
 
 
 SIMILAR = 0.6
-"""Ratio of `difflib` from which two names look alike."""
+"""Ratio of `difflib` above which two names are similar."""
 
 WITHOUT_UNIT = ("", "1", "%", "-")
-"""Units that say nothing of what is measured."""
+"""Units that do not indicate a quantity."""
 QUANTITIES = {"temperature": "K", "temp": "K", "pressure": "Pa", "voltage": "V", "current": "A"}
-"""Words in the name of a column without a unit that say what it measures."""
+"""Words in the name of a column without a unit that indicate its quantity."""
 
 _PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
 """Parts of a column's name: "u" and "Est" of "uEst"."""
@@ -254,11 +255,11 @@ class ColumnMatch:
     Attributes
     ----------
     column
-        The column of its name; None without such a column.
+        The column with its name; None without such a column.
     similar
-        A suggestion; None if no column is similar, or `column` is certain.
+        A suggestion; None if no column is similar, or if `column` is certain.
     by_unit
-        Whether the unit alone tells that it is the column: none of another name is like it.
+        Whether the column is identified only by its unit, and no other name is similar.
     """
 
     variable: ModelVariable
@@ -275,18 +276,18 @@ def match(
 ) -> list[ColumnMatch]:
     """Match each variable to a column, and no column twice.
 
-    A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
-    at its end; or the last part of its name is so, behind its group or structure; or it is the only
-    one with a unit that can be converted to the variable's, and that the only variable with such a
-    unit. Where none of these decides, a similar column is a suggestion, or the only one that is
-    left, if its unit does not forbid it.
+    A column matches if it has the same name, apart from case, blanks, underscores, brackets and a
+    unit at its end. It matches if the last part of its name, after its group or structure, is such
+    a name. It also matches if it is the only column whose unit is convertible to the variable's,
+    and if the variable is the only one for this column. Otherwise a similar column is a suggestion,
+    or the only remaining column, unless its unit contradicts.
 
     Parameters
     ----------
     given
-        Columns of variables that are known.
+        Known columns of variables.
     named
-        Names of columns that are called as variables of the model which are not matched here.
+        Names of columns that have the names of model variables not matched here.
     """
     sure = same(variables, columns, given)
     left = _others(columns, sure)
@@ -309,7 +310,7 @@ def _decided(
     columns: Sequence[TableColumn],
     own: Sequence[TableColumn],
 ) -> ColumnMatch:
-    """Return a suggestion as certain where units leave no other column and no other variable."""
+    """Return a suggestion as certain if units leave no other column and no other variable."""
     variable, column = match.variable, match.similar
     if column is None or column not in own or variable.unit in WITHOUT_UNIT:
         return match
@@ -321,7 +322,7 @@ def _decided(
 
 
 def forbidden(column: TableColumn, variable: ModelVariable) -> bool:
-    """Return whether a column's unit, or the quantity in its name, is not the variable's."""
+    """Return whether a column's unit, or the quantity in its name, contradicts the variable's."""
     if not variable.unit or not is_known(variable.unit):
         return False
     words = {word.casefold() for word in _PARTS.findall(column.plain)}
@@ -356,7 +357,7 @@ def _suffixed(
     columns: Sequence[TableColumn],
     taken: Mapping[str, TableColumn],
 ) -> dict[str, TableColumn]:
-    """Return columns by variable where the name is the same but for a unit at its end."""
+    """Return columns by variable whose name is the same apart from a unit at its end."""
     free = [c for c in _others(columns, taken) if "_" in c.name and not c.unit]
     pairs = []
     for variable in variables:
@@ -372,7 +373,7 @@ def _suffixed(
 
 
 def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
-    """Suggest the column if one variable and one column are left over."""
+    """Suggest the column if only one variable and one column remain."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
     if len(open_) == len(left) == 1 and not forbidden(left[0], found[open_[0]].variable):
         similar = with_suffix(left.pop(), found[open_[0]].variable.unit)
@@ -381,7 +382,7 @@ def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnM
 
 
 def _by_unit(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
-    """Suggest a column where it alone, of those left over, has a unit of a variable's kind."""
+    """Suggest a column if it is the only remaining one whose unit fits a variable."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
     fitting = {i: [c for c in left if _of_kind(c, found[i].variable)] for i in open_}
     wanted = Counter(c.name for columns in fitting.values() for c in columns)
@@ -402,7 +403,7 @@ def _same(
     columns: list[tuple[TableColumn, str]],
     taken: Mapping[str, TableColumn],
 ) -> dict[str, TableColumn]:
-    """Return columns by variable where a key is the same and unique on both sides."""
+    """Return columns by variable if a key is the same and unique on both sides."""
     names = {column.name for column in taken.values()}
     free = [(c, key) for c, key in columns if c.name not in names]
     open_ = [(v, key) for v, key in variables if v.name not in taken]

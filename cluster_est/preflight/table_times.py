@@ -1,4 +1,4 @@
-"""The times of a measured table, and the tests in it: found by names and by what columns hold."""
+"""The times of a measured table, and the tests in it, found by names and by contents."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ TIME_COLUMN_NAMES = (
 )  # fmt: skip
 """Names of a time column, folded."""
 UNITS_OF_NAMES = {"millis": "ms", "micros": "us"}
-"""Units that such a name says."""
+"""Units that names of time columns imply."""
 STAMP_COLUMN_NAMES = (
     *TIME_COLUMN_NAMES, "datetime", "date", "datum", "datumzeit", "datumuhrzeit", "uhrzeit",
     "datetimeutc", "index",
 )  # fmt: skip
-"""Likewise of one with timestamps."""
+"""Names of a column with timestamps, folded."""
 TEST_COLUMN_NAMES = (
     "run", "runid", "test", "testid", "experiment", "experimentid", "trial", "cycle", "versuch",
     "messung", "simulationconditionid", "condition",
 )  # fmt: skip
-"""Names of a column that tells tests apart, folded."""
+"""Names of a column that distinguishes tests, folded."""
 MOST_TESTS = 10_000
 LOOKED_AT = 1000
-"""Cells of a column of text in which numbers are looked for."""
+"""Number of cells of a text column in which numbers are looked for."""
 DAYS_OR_SECONDS = "days or seconds"
-"""In place of the unit of a time that has to be filled in."""
+"""Placeholder for the unit of a time that must be filled in."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class FoundTime:
     Attributes
     ----------
     column
-        With the time; of two columns with both names.
+        The column with the time; if it consists of two columns, both names.
     names
-        Of the columns that it is made of.
+        Names of its columns.
     seconds : (n,)
-        Of all rows.
+        Seconds of all rows.
     said
         How timestamps were read; "" for numbers.
     """
@@ -64,12 +64,12 @@ class FoundTime:
     said: str = ""
 
     def of(self, table: MeasuredTable) -> FoundTime:
-        """The same in a part of the table."""
+        """Return the time of a part of the table."""
         found = read_times(table, self.column.name, table.rows, "init")
         return replace(self, seconds=found.seconds)
 
     def times_of(self, table: MeasuredTable, name: str) -> FloatArray:
-        """The times of a column, which may have a clock of its own."""
+        """Return the times of a column, which may have its own clock."""
         clock = table.clocks.get(name)
         if clock is not None and clock != self.column.name:
             return read_times(table, clock, table.rows_of(name), "init").seconds
@@ -79,19 +79,19 @@ class FoundTime:
 
 
 def find_time(table: MeasuredTable, given: str = "") -> FoundTime | None:
-    """Find the time of a table; None if no column is called so, nor the only one with times.
+    """Find the time of a table; None if no column has such a name, or is the only one with times.
 
     Parameters
     ----------
     table
-        Of all tests.
+        The table with all tests.
     given
-        Its column, as the user says.
+        Name of its column, if given by the user.
 
     Raises
     ------
     DataError
-        If there are times that can be read in several ways.
+        If there are ambiguous times.
     """
     names = [given] if given and (given in table.columns or JOINT in given) else [*_by_name(table)]
     if not names:
@@ -118,7 +118,7 @@ def _is_number(table: MeasuredTable, name: str) -> bool:
 
 
 def _by_name(table: MeasuredTable) -> Iterator[str]:
-    """Yield the columns of numbers that are called as the time is, the surest first."""
+    """Yield the columns of numbers with names of a time, the most certain first."""
     if table.clocks:
         counts: dict[str, int] = {}
         for clock in table.clocks.values():
@@ -155,9 +155,9 @@ def _holds_numbers(table: MeasuredTable, name: str) -> bool:
 
 
 def may_hold_numbers(column: Column) -> bool:
-    """Return False for times and for text that does not begin with a number anywhere near its top.
+    """Return False for times, and for text without a number in its first cells.
 
-    A long text need not be looked at whole to know that it has none.
+    So a long text need not be read completely.
     """
     if isinstance(column, np.ndarray):
         return True
@@ -173,7 +173,7 @@ def _is_temporal(kind: pa.DataType) -> bool:
 
 
 def _by_content(table: MeasuredTable) -> Iterator[str]:
-    """Yield the column with timestamps, or two with dates and times of day, if one is it."""
+    """Yield the column with timestamps, or the two with dates and times of day, if unique."""
     found = {name: each for name in table.columns if (each := _stamps(table, name)) is not None}
     dates = [name for name, each in found.items() if each.kind == "date"]
     clocks = [name for name, each in found.items() if each.kind == "clock"]
@@ -197,7 +197,7 @@ def _stamps(table: MeasuredTable, name: str) -> Stamps | None:
         if name not in table.stamps:
             table.stamps[name] = read_stamps(column, table.reading)
     except ValueError:
-        if called:  # it is the time, so that what is wrong with it must be said
+        if called:  # it is the time, so its error must be reported
             read_times(table, name, None, "init")
         return None
     found: Stamps | None = table.stamps[name]
@@ -205,10 +205,10 @@ def _stamps(table: MeasuredTable, name: str) -> Stamps | None:
 
 
 def find_tests(table: MeasuredTable, time: FoundTime | None) -> str:
-    """Return the column that tells tests apart; "" if the table is one test.
+    """Return the column that distinguishes tests; "" if the table is one test.
 
-    It is called so, or the time begins anew exactly where its value changes. In each test the time
-    must increase.
+    It is found by its name, or because the time restarts exactly where its value changes. In each
+    test, the time must increase.
     """
     if time is None or table.clocks:
         return ""

@@ -1,8 +1,8 @@
-"""Checks of units: columns, signals and times that seem to be in another one than the model's.
+"""Checks of units: columns, signals and times whose unit seems to differ from the model's.
 
-The name of a column may say so. Else the evidence is an error: read in the other unit, the data
-must lie close to the simulation at the start values, and far from it as they are. A start that is
-far off gives no evidence, and no alarm.
+The name of a column may contain its unit. Otherwise the evidence is an error: with the other unit,
+the data must be close to the simulation at the start values, and far from it without. Start values
+that are far off give no evidence, and no warning.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from workers.probes.other_simulations import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
 
 LEAST_LETTERS = 2
-"""Letters that a unit at the end of a name has: "x_m" may be a measured x, "x_mm" is not."""
+"""Smallest number of letters of a unit at the end of a name: "x_m" may be a measured x."""
 
 
 def unit_findings(
     config: Config, description: ModelDescription, tables: Sequence[TableSource] = ()
 ) -> list[CheckFinding]:
-    """Return a line for each column that is in another unit than its variable, as it is called.
+    """Return a finding for each column whose name or file gives another unit than its variable's.
 
-    Its name says the unit, or else the file does: a row below the header, or what a channel
-    carries. Each column is named once, whatever the number of experiments that have it. One with an
-    entry under `columns` in the config is left out, and so is one whose unit is not known.
+    The unit is in the name, in a row below the header, or in the metadata of a channel. Each column
+    is reported once for all experiments. Columns with an entry under `columns` in the config, or
+    with an unknown unit, are omitted.
     """
     said = {(each.experiment, name): unit for each in tables for name, unit in each.units}
     pairs = dict.fromkeys(
@@ -79,34 +79,34 @@ def unit_findings(
 
 
 def _unit(column: str, wanted: str) -> str:
-    """Return the unit in a column's name; at its end only one that can hardly be a word."""
+    """Return the unit in a column's name; at its end, only a unit that is hardly a word."""
     unit = split_unit(column)[1]
     found = None if unit or not wanted else split_suffix(column, wanted)
     return unit if found is None or len(found[1]) < LEAST_LETTERS else found[1]
 
 
 MISFIT_AS_READ, MISFIT_CONVERTED = 0.7, 0.5
-"""Errors over the signal's spread: as it is read, and in the other unit."""
+"""Errors relative to the signal's spread: smallest as read, and largest in the other unit."""
 REMAINING_MISFIT = 0.5
-"""Share of the error that may be left in the other unit."""
+"""Largest share of the error that may remain in the other unit."""
 NAMELESS = {
     "rpm": ("rad/s", UnitConversion(np.pi / 30.0)),
     "rad/s": ("rpm", UnitConversion(30.0 / np.pi)),
     "deg": ("rad", UnitConversion(np.pi / 180.0)),
     "rad": ("deg", UnitConversion(180.0 / np.pi)),
 }
-"""What is tried for variables whose unit the FMU does not name: unit, the model's, conversion."""
+"""Units to try for variables without a unit in the FMU: unit, the model's, conversion."""
 KELVINS = 25.0
-"""Kelvins by which a start may be off, where 273.15 K are the question."""
+"""Largest error of a start in kelvins when an offset of 273.15 K is tested."""
 RECORD_OVER_EXPERIMENT, SMOOTH, ALIKE = 20.0, 0.5, 1.6
-"""Criteria for a time in milliseconds: how often the record is the FMU's own experiment at least;
-changes from sample to sample over the spread, and the factor within which two of them are alike."""
+"""Criteria for a time in milliseconds: smallest ratio of the record to the FMU's own experiment;
+changes between samples over the spread, and the factor within which two changes are similar."""
 TIME_UNIT_SECONDS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """A way to read a signal: in a unit, where the model counts in another one."""
+    """A way to read a signal: its unit, the model's unit, and the conversion."""
 
     unit: str
     wanted: str
@@ -124,7 +124,7 @@ def misread_units(subject: CheckSubject, simulations: Sequence[Simulation]) -> l
 
 
 def _outputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
-    """Return a line for each output whose measured and simulated sizes differ by a unit."""
+    """Return a finding for each output whose measured and simulated sizes differ by a unit."""
     pairs: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
     for each in simulations:
         if each.outcome.trajectory is None:
@@ -173,7 +173,7 @@ def _column(change: UnitConversion) -> str:
 
 
 def _readings(subject: CheckSubject, name: str) -> list[_Reading]:
-    """Return the units in which the column of a variable may be."""
+    """Return the possible units of the column of a variable."""
     unit = subject.description.variables[name].unit
     if unit:
         likely = likely_conversions(unit)
@@ -203,7 +203,7 @@ def _likelier(
 
 
 def _error(measured: FloatArray, simulated: FloatArray) -> float:
-    """Return the error over the measured spread; NaN of what does not move."""
+    """Return the error over the measured spread; NaN for a constant signal."""
     spread = float(np.std(measured))
     if len(measured) < 3 or not spread > 0.0:
         return float("nan")
@@ -217,7 +217,7 @@ def _size(values: FloatArray) -> float:
 def _pairs(
     experiment: Experiment, table: SimulatedVariant, variables: Sequence[str]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return the measured and simulated values of each output whose size is known."""
+    """Return the measured and simulated values of each output without a free scale or offset."""
     found = {}
     for output in experiment.outputs:
         if output.learns:
@@ -230,7 +230,7 @@ def _pairs(
 
 @dataclass(frozen=True)
 class _Variant:
-    """An experiment as it may have been meant."""
+    """An experiment with another interpretation of its data."""
 
     experiment: Experiment
     factor: float
@@ -240,7 +240,7 @@ class _Variant:
 
 
 def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
-    """Return a line for an input, or for the time, if the data fit once it is read otherwise."""
+    """Return a finding on an input, or on the time, if the data fit with another unit."""
     index = subject.experiment
     mine = next((s for s in simulations if s.experiment == index), None)
     experiment = subject.problem.experiments[index]
@@ -276,11 +276,11 @@ def _jumpy(
     before: SimulatedVariant | None,
     tried: Sequence[tuple[_Variant, SimulatedVariant | None]],
 ) -> list[CheckFinding]:
-    """Return a line if the simulation jumps from sample to sample where the data do not.
+    """Return a finding if the simulation, but not the data, jumps from sample to sample.
 
-    For a model that swings, whose phase at the start values says nothing. The record must be far
-    longer than the FMU's own experiment, its times whole numbers, and in milliseconds the
-    simulation must change from sample to sample as much as the data do.
+    This is for an oscillating model, whose phase at the start values is arbitrary. The record must
+    be much longer than the FMU's own experiment, and its times must be integers. With times in
+    milliseconds, the simulation must change between samples as much as the data do.
     """
     experiment = subject.problem.experiments[subject.experiment]
     start, stop = subject.description.default_start or 0.0, subject.description.default_stop
@@ -306,7 +306,7 @@ def _jumpy(
 def _steps(
     experiment: Experiment, table: SimulatedVariant | None, variables: Sequence[str] = ()
 ) -> float:
-    """Return by how much signals change from sample to sample, over what they move by."""
+    """Return the changes of signals between samples, relative to their spread."""
     signals = [output.values for output in experiment.outputs if not output.learns]
     if table is not None:
         signals = [pair[1] for pair in _pairs(experiment, table, variables).values()]
@@ -352,7 +352,7 @@ def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_V
 
 
 def _rescaled_time(table: TableSource | None, factor: float) -> str:
-    """Return the key that says in which unit the times of a table are."""
+    """Return the key for the unit of a table's times."""
     if table is not None and table.time:
         return f"write {dotted('columns', table.time)} = {{ factor = {factor:g} }}"
     if table is not None and table.sample_time:
@@ -364,7 +364,7 @@ def _rescaled_time(table: TableSource | None, factor: float) -> str:
 
 
 def _stretched(experiment: Experiment, factor: float) -> Experiment:
-    """Return an experiment with its times multiplied."""
+    """Return an experiment with its times multiplied by a factor."""
     return replace(
         experiment,
         start=experiment.start * factor,
@@ -382,7 +382,7 @@ def _stretched(experiment: Experiment, factor: float) -> Experiment:
 
 
 def _joint(experiment: Experiment, table: SimulatedVariant, variables: Sequence[str]) -> float:
-    """Return the root mean square of the errors of all outputs that move."""
+    """Return the root mean square of the errors of all changing outputs."""
     errors = [_error(*pair) for pair in _pairs(experiment, table, variables).values()]
     known = [error for error in errors if not np.isnan(error)]
     return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")

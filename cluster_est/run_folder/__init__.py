@@ -1,4 +1,4 @@
-"""The folder of a run: written, read, locked, resumed and replayed.
+"""The folder of a run: its files are written, read, locked, resumed and replayed.
 
-Wider than other rooms: each module is one file of that folder, or one thing that is done with it.
+Each module handles one file of that folder, or one operation on the folder.
 """

@@ -1,4 +1,4 @@
-"""A run's folder while the run goes on: begun, told of everything, ended whatever happens."""
+"""The folder of a run during the run: opened, updated, and closed in every case."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from workers.messages import Outcome
 
 
 class ExistingRun(enum.Enum):
-    """The treatment of a run that the folder holds already."""
+    """Treatment of a run that exists already in the folder."""
 
     REFUSE = enum.auto()
     OVERWRITE = enum.auto()
@@ -30,36 +30,36 @@ class ExistingRun(enum.Enum):
 
 
 class RunContext:
-    """Keeps the folder of one run.
+    """Manages the folder of one run.
 
-    The folder is opened with the first simulation, so that bad input leaves nothing behind.
+    The folder is opened at the first simulation, so that invalid input creates no files.
 
     Parameters
     ----------
     identity
-        What is run.
+        Identity of the run.
     out
         The folder.
     existing
-        What becomes of a run that is there; one that is resumed is of the same identity.
+        Treatment of an existing run; a resumed run must have the same identity.
     say
-        Told, in sentences, what a user should know on the way.
+        Called with sentences for the user.
 
     Attributes
     ----------
     out
-        Its path.
+        Path of the folder.
     folder
         None until the first simulation has ended.
     finished
-        Whether the run that is there has reached its end, so that nothing is left to do.
+        Whether the existing run is already finished.
     earlier
-        What an interrupted run has left.
+        Data of an interrupted run.
 
     Raises
     ------
     RunFolderError
-        If the folder holds what may not be replaced, or a run of something else.
+        If the folder contains files that may not be replaced, or a run of another problem.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class RunContext:
             self._take_up()
 
     def _take_up(self) -> None:
-        """Go on where the run that is there has stopped."""
+        """Continue the existing run."""
         self._logged = LoggedOutcomes(self.out / "evaluations")
         self.earlier = EarlierRun(self._logged, recorded(read_facts(self.out)))
         count = len(self._logged)
@@ -112,7 +112,7 @@ class RunContext:
         return self.folder
 
     def monitor(self, show: Show) -> Monitor:
-        """Make a monitor that keeps what it is told, and passes on what is shown."""
+        """Return a monitor that stores events in the folder, and passes snapshots to `show`."""
 
         def both(snapshot: RunSnapshot) -> None:
             show(snapshot)
@@ -122,7 +122,7 @@ class RunContext:
         return Monitor(self._record, both, self._note, self._note_reset, self._reached)
 
     def finish(self, result: RunResult) -> RunStatus:
-        """Write all tables, and return how the run stands."""
+        """Write all tables, and return the status of the run."""
         if self._logged is not None and self._logged.differing:
             self._say(
                 f"{self._logged.differing} of the repeated simulations gave residuals that differ "
@@ -134,12 +134,12 @@ class RunContext:
 
     @property
     def has_results(self) -> bool:
-        """Whether something was found before the run ended."""
+        """Whether there was an intermediate result before the run ended."""
         return self.folder is not None and self.folder.has_results
 
     @property
     def steps(self) -> str:
-        """Say how far the run came, as part of a sentence."""
+        """Progress of the run, as part of a sentence."""
         if not self._searches:
             return "stopped before the first simulation"
         *done, last = dict.fromkeys(search_title(name) for name in self._searches)
@@ -152,7 +152,7 @@ class RunContext:
         folder.record(origin, outcome)
 
     def _reached(self, result: RunResult) -> None:
-        """Write what there is so far, in case nothing comes after it."""
+        """Write an intermediate result, in case the run ends early."""
         self.begin().keep(result)
 
     def _note(self, iteration: SearchIteration) -> None:
@@ -170,7 +170,7 @@ class RunContext:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
-        """Say in the run folder how a run ended that did not end by itself."""
+        """Write to the run folder how a run ended that was stopped by an exception."""
         if self.folder is not None and error is not None:
             reason, status = _ending(error)
             if self.has_results and isinstance(error, BudgetError):
@@ -181,7 +181,7 @@ class RunContext:
 
 
 def _ending(error: BaseException) -> tuple[str, RunStatus]:
-    """Why a run ended, and how it stands: what is not its own fault lets it be taken up again."""
+    """Return why a run ended, and its status; a run that may be resumed is interrupted."""
     if isinstance(error, KeyboardInterrupt):
         return RunStatus.INTERRUPTED, RunStatus.INTERRUPTED
     if isinstance(error, ExecutorError | UnwritableError | OSError):

@@ -1,8 +1,8 @@
-"""The evaluation log: every simulation, written while the run goes on.
+"""The evaluation log: every simulation, written during the run.
 
-Arrow IPC streams in numbered segments. What was written survives the death of this process, what
-was synced survives a crash of the machine; a segment that was cut off in the middle of a write is
-read up to there.
+It consists of numbered segments, which are Arrow IPC streams. Written data survive the end of this
+process, and synced data survive a crash of the machine. A segment that was cut off during a write
+is read up to that point.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from workers.messages import FloatArray, Outcome, Trajectory
 
 
 class LogRow(NamedTuple):
-    """A simulation, and when its answer came, in seconds since 1970."""
+    """A simulation, and the time of its answer, in seconds since 1970."""
 
     origin: TaskOrigin
     outcome: Outcome
@@ -48,18 +48,18 @@ def batch_of(
     *,
     residuals: bool,
 ) -> pa.RecordBatch:
-    """Make the columns of the log.
+    """Return the columns of the log for some simulations.
 
     Parameters
     ----------
     rows
-        In the order in which they ended.
+        In the order in which the simulations ended.
     model_key
-        The first part of each row's key.
+        First part of each row's key.
     experiments
         (id, key) of each experiment, by index.
     residuals
-        Whether residuals and trajectories are among them.
+        Whether to include residuals and trajectories.
     """
     origins, outcomes, ended = zip(*rows, strict=True)
     whole = [residuals and not origin.slim for origin in origins]
@@ -98,7 +98,7 @@ def batch_of(
 
 
 def size_of(outcome: Outcome) -> int:
-    """Bytes of what is large in an outcome."""
+    """Return the bytes of the large arrays of an outcome."""
     size = 0 if outcome.residuals is None else outcome.residuals.nbytes
     path: Trajectory | None = outcome.trajectory
     return size + (0 if path is None else path.times.nbytes + path.values.nbytes)
@@ -120,7 +120,7 @@ def _lists(rows: Sequence[FloatArray | None]) -> pa.Array:
 ROWS_PER_WRITE, SECONDS_PER_WRITE, SECONDS_PER_SYNC = 2000, 0.25, 1.0
 BYTES_PER_WRITE, BYTES_PER_SEGMENT = 16 * 2**20, 256 * 2**20
 SEGMENTS_AT_LEAST = 8
-"""Into how many the room of a bounded log is cut, because whole segments lose their residuals."""
+"""Smallest number of segments of a bounded log, because complete segments lose their residuals."""
 
 
 class EvaluationLog:
@@ -129,19 +129,20 @@ class EvaluationLog:
     Parameters
     ----------
     folder
-        `evaluations` in a run folder, which no other process writes; made if it is not there.
+        `evaluations` in a run folder, to which no other process writes; created if missing.
     model_key
         Hash of model, interface and solver, the first part of each row's key.
     experiments
         (id, key) of each experiment, by index.
     metadata
-        Written into the schema of each segment.
+        Metadata of the schema of each segment.
     settings
-        How much is kept.
+        Amount of data to keep.
     first_segment
-        Number of the first one that is written; a resumed run's log goes on behind the others.
+        Number of the first segment to write; the log of a resumed run follows the existing
+        segments.
     say
-        Told once, in a sentence, when the log has reached its size.
+        Called once, with a sentence, when the log has reached its maximum size.
     """
 
     def __init__(
@@ -175,7 +176,7 @@ class EvaluationLog:
         folder.mkdir(parents=True, exist_ok=True)
 
     def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
-        """Add one simulation; a moment later it is safe from the end of this process.
+        """Add one simulation, which is written soon afterwards.
 
         Raises
         ------
@@ -196,7 +197,7 @@ class EvaluationLog:
             self._writer.start()
 
     def flush(self) -> None:
-        """Write what has been recorded, and sync it once a second."""
+        """Write the recorded simulations, and sync the file once a second."""
         try:
             with writing(self._folder, MAKE_ROOM_AND_RESUME):
                 self._flush()
@@ -225,7 +226,7 @@ class EvaluationLog:
                 self._end_segment()
 
     def close(self) -> None:
-        """Write what is left and end the segment.
+        """Write the remaining simulations and end the segment.
 
         Raises
         ------
@@ -242,10 +243,10 @@ class EvaluationLog:
             self._end_segment()
 
     def let_residuals_go(self) -> None:
-        """Take residuals and trajectories from a closed log whose run has reached its end.
+        """Remove residuals and trajectories from the closed log of a finished run.
 
-        Unless they are to be kept. Their hashes stay, and with them what a later simulation of the
-        same question is compared with.
+        They are not removed if the settings keep them. Their hashes remain, so a later simulation
+        with the same values can be compared.
         """
         if self._settings.keep_residuals or not self._settings.residuals:
             return
@@ -254,16 +255,16 @@ class EvaluationLog:
                 return
 
     def _write_late(self) -> None:
-        """Write what was recorded while the run now waits for simulations that take long."""
+        """Write recorded simulations while the run waits for long simulations."""
         while not self._ended.wait(min(max(SECONDS_PER_WRITE, 0.01), threading.TIMEOUT_MAX)):
             try:
                 self.flush()
-            except UnwritableError:  # the next row says it
+            except UnwritableError:  # the next call of `record` raises it
                 return
 
     @property
     def _limit(self) -> float:
-        """Bytes of all segments together."""
+        """Largest size of all segments together, in bytes."""
         return self._settings.max_megabytes * 2**20 or np.inf
 
     @property
@@ -288,7 +289,7 @@ class EvaluationLog:
             self._shrink()
 
     def _drop_stream(self) -> None:
-        """Leave a segment that cannot be written as far as it came."""
+        """Close a segment that cannot be written any more."""
         with self._writing:
             stream, self._stream = self._stream, None
         if stream is not None:
@@ -296,7 +297,7 @@ class EvaluationLog:
                 stream[0].close()
 
     def _shrink(self) -> None:
-        """Keep to the limit: take residuals and trajectories from the oldest segments."""
+        """Remove residuals and trajectories from the oldest segments until the limit is met."""
         paths = segments(self._folder)
         total = sum(path.stat().st_size for path in paths)
         for path in paths:
@@ -316,7 +317,7 @@ class EvaluationLog:
                 total += path.stat().st_size
 
     def _slim_one(self, path: Path) -> bool:
-        """Take the large columns from a segment; a log that stays large ends no run."""
+        """Remove the large columns of a segment; if this fails, the run continues."""
         try:
             slim(path)
         except OSError as error:

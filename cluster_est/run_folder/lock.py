@@ -1,9 +1,9 @@
-"""One process at a time in a folder: the system's lock, and where it may not reach, a file.
+"""Locks that allow only one process at a time in a folder.
 
-`filelock` locks a file in the folder: that lock is gone when its process is, however that ended. On
-some network drives other machines do not notice it, or there is none. Where that matters, a file
-says in addition who is at work; one that a process of this machine has left does not count, and
-whether that of another machine is still alive cannot be known.
+`filelock` locks a file in the folder. The lock ends with its process, however that ends. On some
+network drives, other machines do not see the lock, or locks are not supported. A sweep therefore
+also writes a file with its process and host. Such a file of a process of this machine that has
+ended is ignored; whether a process of another machine is still alive is unknown.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ SWEEP_LOCK, SWEEP_OWNER = ".sweep.flock", ".sweep.lock"
 
 
 def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
-    """Lock a folder until what this returns is released or the process ends.
+    """Lock a folder until the returned lock is released or the process ends.
 
     Returns
     -------
     BaseFileLock | None
-        None where there are no such locks, as on some network drives and in folders that cannot be
-        written.
+        None if locks are not supported, as on some network drives and in folders that are not
+        writable.
 
     Raises
     ------
     RunFolderError
-        If another process has it.
+        If another process has locked it.
     """
     held = FileLock(folder / name, blocking=False, thread_local=False, fallback_to_soft=False)
     try:
@@ -52,7 +52,7 @@ def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
 
 
 def is_left(folder: Path) -> bool:
-    """Return whether a folder was locked once, and no process of this machine has it any more."""
+    """Return whether a folder was locked before, and no process of this machine locks it now."""
     if not (folder / LOCK).is_file():
         return False
     try:
@@ -66,7 +66,7 @@ def is_left(folder: Path) -> bool:
 
 
 class RunLock:
-    """The log of a run, held against other processes until it is released or this one ends.
+    """A lock of a run's log against other processes, until it is released or this process ends.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class RunLock:
     Raises
     ------
     RunFolderError
-        If another process has it, with its number and host.
+        If another process has locked it. The message contains its process id and host.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -86,7 +86,7 @@ class RunLock:
             self._owner.write_text(json.dumps(_here()), encoding="utf-8")
 
     def release(self) -> None:
-        """Let others write it; once more does nothing."""
+        """Release the lock; a second call does nothing."""
         owner, self._owner = self._owner, None
         if owner is not None:
             with suppress(OSError):
@@ -103,12 +103,12 @@ class RunLock:
 
 @contextmanager
 def locked_by_sweep(folder: Path) -> Iterator[None]:
-    """Hold a folder for a sweep, also against sweeps on other machines that share it.
+    """Lock a folder for a sweep, also against sweeps on other machines that share it.
 
     Raises
     ------
     RunFolderError
-        If another sweep has it, or it cannot be written.
+        If another sweep has locked it, or it is not writable.
     """
     owner = folder / SWEEP_OWNER
     try:
@@ -129,9 +129,9 @@ def locked_by_sweep(folder: Path) -> Iterator[None]:
 
 
 def _own(owner: Path, *, certain: bool) -> None:
-    """Write who is at work here, once, or in the place of a process of this machine that is gone.
+    """Write the owner file, or replace that of a process of this machine that has ended.
 
-    It is gone for certain if the system's lock was free.
+    If the system's lock was free, that process has certainly ended.
     """
     here = _here()
     try:

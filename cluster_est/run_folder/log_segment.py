@@ -1,9 +1,8 @@
-"""A segment of an evaluation log: written batch by batch, and read only as far as it checks.
+"""A segment of an evaluation log: written batch by batch, and read with verification.
 
-An Arrow IPC stream. Its schema and each of its batches carry, among their metadata, a seal: the
-checksum of the whole message, its length, and how many rows there are up to its end. Nothing is
-given to Arrow before its checksum agrees, because Arrow believes what a damaged message says, or
-crashes.
+A segment is an Arrow IPC stream. Its schema and each batch contain a seal in their metadata: the
+checksum of the message, its length, and the number of rows up to its end. A message is passed to
+Arrow only if its checksum matches, because Arrow may crash or give wrong data for a damaged one.
 """
 
 from __future__ import annotations
@@ -49,22 +48,22 @@ SCHEMA = pa.schema(
         ("steps", pa.int64()),
     ]
 )
-"""`trajectory` is (times, variables), row after row, where that was wanted; `ended` is when its
-answer came, in seconds since 1970, `bound` the sum of squares above which it was to end early, null
-for none, and `steps` those of the solver, 0 where nobody counts them. `residuals_hash` stays where
-residuals have left."""
+"""`trajectory` is (times, variables) in row-major order, if requested. `ended` is the time of the
+answer, in seconds since 1970. `bound` is the sum of squares above which it should end early, null
+for none. `steps` are those of the solver, 0 if unknown. `residuals_hash` remains if residuals are
+removed."""
 HASH_LENGTH = 32
-"""Characters of a hash of residuals: 128 bits."""
+"""Number of characters of a hash of residuals: 128 bits."""
 ROWS_PER_BATCH = 2000
-"""Rows of a batch in a segment without its large columns."""
+"""Number of rows of a batch in a segment without its large columns."""
 LARGE_LOG_COLUMNS = ("residuals", "variables", "times", "trajectory")
-"""Columns that can be left out: a resumed run simulates those rows again."""
+"""Columns that may be omitted; a resumed run simulates those rows again."""
 
 
 def logged_cost(outcome: Outcome, want: Want) -> float:
-    """The sum of squares of an outcome's residuals, NaN for a failed one.
+    """Return the sum of squares of an outcome's residuals, NaN for a failed outcome.
 
-    That of absolute values where only this is known.
+    If only the sum of absolute values is known, return that.
     """
     if outcome.residuals is None:
         return np.nan
@@ -74,23 +73,23 @@ def logged_cost(outcome: Outcome, want: Want) -> float:
 
 
 def residuals_hash(residuals: FloatArray | None) -> str | None:
-    """The hash of residuals bit for bit, by which they are known when they are there no more."""
+    """Return a hash of the bits of residuals, to compare them after they were removed."""
     return None if residuals is None else content_hash([residuals.tobytes()])[:HASH_LENGTH]
 
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 BEGIN = re.compile(rb"(?=\xff\xff\xff\xff)")
-"""The begin of a message, which is at a multiple of 8 bytes."""
+"""Beginning of a message, which is at a multiple of 8 bytes."""
 LARGEST_HEAD = 2**20
 Message = tuple[int, int]
-"""The end of a message, and the rows of the segment up to there."""
+"""End of a message, and number of rows of the segment up to it."""
 _SEGMENT_SEAL = re.compile(rb"cluster-est crc32:[0-9a-f]{8} bytes:(\d{12}) rows:(\d{12})")
 _INVALID = (pa.ArrowException, OSError, EOFError, ValueError, KeyError, MemoryError)
-"""What reading a damaged message raises."""
+"""Exceptions raised when a damaged message is read."""
 
 
 def segments(folder: Path) -> list[Path]:
-    """The segments of a log, the oldest first."""
+    """Return the segments of a log, the oldest first."""
     return sorted(folder.glob("*.arrows"))
 
 
@@ -100,9 +99,9 @@ class SegmentWriter:
     Parameters
     ----------
     file
-        Empty.
+        An empty file.
     schema
-        Of the batches.
+        Schema of the batches.
     """
 
     def __init__(self, file: BinaryIO, schema: pa.Schema) -> None:
@@ -113,7 +112,7 @@ class SegmentWriter:
         file.write(_filled(head, 0))
 
     def write(self, batch: pa.RecordBatch) -> None:
-        """Append a batch, in one piece."""
+        """Append a batch with a single write."""
         self._rows += batch.num_rows
         stream = io.BytesIO()
         writer = pa.ipc.new_stream(stream, self._schema)
@@ -122,7 +121,7 @@ class SegmentWriter:
         self._file.write(_filled(stream.getvalue()[self._head :], self._rows))
 
     def close(self) -> None:
-        """End the stream, not the file."""
+        """End the stream without closing the file."""
         self._file.write(END_OF_STREAM)
 
 
@@ -136,22 +135,22 @@ def _filled(message: bytes, rows: int) -> bytes:
 
 
 class SegmentReader:
-    """Gives what is as it was written; asked again, it goes on where the segment has grown.
+    """Reads the intact batches of a segment; a later call continues in a segment that has grown.
 
     Attributes
     ----------
     end
-        Where the last message ends that was believed; 0 before the schema.
+        End of the last intact message; 0 before the schema.
     schema
-        None before it was read, and where it is damaged.
+        None before it was read, and if it is damaged.
     lost
-        Rows that are known to be there and cannot be believed.
+        Number of rows that are known to exist but are damaged.
     damaged
-        Whether there is anything that is neither as it was written nor merely cut off.
+        Whether any part is damaged and not merely cut off.
     torn
-        Whether something follows that last message.
+        Whether other data follow the last intact message.
     closed
-        Whether only the end of the stream follows: nobody will go on with it.
+        Whether only the end of the stream follows, so the segment is complete.
     """
 
     def __init__(self) -> None:
@@ -165,11 +164,12 @@ class SegmentReader:
         return self._passed_over + self._cut_off
 
     def batches(self, content: pa.Buffer) -> Iterator[tuple[int, pa.RecordBatch]]:
-        """Each batch that was not given yet, with its position in all that the segment holds.
+        """Yield each new batch, with its position in the content of the segment.
 
-        What is damaged is passed over, and a torn end left: the rest of it may still come.
+        Damaged data are skipped. A truncated end is left for the next call, because it may be
+        incomplete.
         """
-        view = memoryview(content).cast("B")  # of Arrow, it is of signed bytes
+        view = memoryview(content).cast("B")  # a buffer of Arrow has signed bytes
         while not _is_end(view, self.end):
             begin, found = self.end, _sealed_message(view, self.end)
             if found is None:
@@ -184,12 +184,12 @@ class SegmentReader:
         self._judge(view)
 
     def check(self, path: Path, *, ended: bool) -> None:
-        """Refuse a segment of which something was passed over, or torn although its run has ended.
+        """Refuse a segment with damaged data, or a truncated segment of a finished run.
 
         Raises
         ------
         RunFolderError
-            If that is so.
+            If the segment is damaged.
         """
         if self.damaged or (ended and not self.closed):
             what = (
@@ -200,7 +200,7 @@ class SegmentReader:
             )
 
     def _parsed(self, part: pa.Buffer, rows: int, *, first: bool) -> pa.RecordBatch | None:
-        """The batch in a message; None for the schema, and for what is not valid."""
+        """Return the batch in a message; None for the schema and for invalid messages."""
         batch = None
         try:
             if first:
@@ -215,7 +215,7 @@ class SegmentReader:
         return batch
 
     def _judge(self, view: memoryview) -> None:
-        """Judge what follows the last message: nothing, what was cut off, or what is damaged."""
+        """Determine whether the rest after the last message is empty, truncated or damaged."""
         rest = view[self.end :]
         self.closed = rest == END_OF_STREAM
         self.torn = len(rest) > 0 and not self.closed
@@ -231,7 +231,7 @@ def _is_end(view: memoryview, place: int) -> bool:
 
 
 def _seal_at(view: memoryview, begin: int) -> re.Match[bytes] | None:
-    """The seal of a message that begins here, if there is one."""
+    """Return the seal of a message that begins here, or None."""
     if view[begin : begin + 4] != END_OF_STREAM[:4]:
         return None
     size = int.from_bytes(view[begin + 4 : begin + 8], "little", signed=True)
@@ -241,7 +241,7 @@ def _seal_at(view: memoryview, begin: int) -> re.Match[bytes] | None:
 
 
 def _sealed_message(view: memoryview, begin: int) -> Message | None:
-    """The message that begins here, if there is one with a seal and it agrees with it."""
+    """Return the message that begins here, if it has a matching seal."""
     seal = _seal_at(view, begin)
     if seal is None:
         return None
@@ -251,7 +251,7 @@ def _sealed_message(view: memoryview, begin: int) -> Message | None:
 
 
 def _following(view: memoryview, begin: int) -> tuple[int, Message | None]:
-    """Where the next message begins that agrees with its seal, and the message."""
+    """Return the beginning of the next intact message, and the message."""
     for match in BEGIN.finditer(view, begin + 1):
         place = match.start()
         found = _sealed_message(view, place) if place % 8 == 0 else None
@@ -267,11 +267,11 @@ def _schema(part: pa.Buffer) -> pa.Schema:
 
 
 Batches = list[tuple[int, pa.RecordBatch]]
-"""The batches of a segment that are as they were written, each with where it begins."""
+"""The intact batches of a segment, each with its position."""
 
 
 def read_segment(path: Path) -> tuple[SegmentReader, Batches]:
-    """Go through a whole segment."""
+    """Read a complete segment."""
     reader = SegmentReader()
     with pa.OSFile(str(path)) as opened:
         content = opened.read_buffer()
@@ -279,17 +279,17 @@ def read_segment(path: Path) -> tuple[SegmentReader, Batches]:
 
 
 def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
-    """All simulations in a folder of segments, in the order in which they ended.
+    """Return all simulations in a folder of segments, in the order in which they ended.
 
-    A torn end, left by a process that was killed while writing, is dropped with a warning. Where
-    the log was told to leave residuals out, they are null.
+    A truncated end, written by a killed process, is dropped with a warning. Residuals are null if
+    the log omits them.
 
     Parameters
     ----------
     folder
         `evaluations` of a run folder.
     ended
-        Whether the run has reached its end, so that nothing may be torn.
+        Whether the run is finished, so that no segment may be truncated.
 
     Raises
     ------
@@ -316,10 +316,10 @@ def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
 
 
 def repair(path: Path) -> SegmentReader:
-    """Leave of a segment what is as it was written, and return what was found.
+    """Remove damaged data from a segment, and return the reader.
 
-    A torn segment is cut back to its last whole batch, and ended there. A kill in the middle of
-    this loses nothing: only what cannot be believed goes.
+    A truncated segment is cut back to its last complete batch, and the stream is ended there. If
+    the process is killed during this, no intact data are lost.
     """
     reader, found = read_segment(path)
     if reader.schema is None:
@@ -343,9 +343,9 @@ def _end_at(path: Path, end: int) -> None:
 
 
 def slim(path: Path) -> None:
-    """Rewrite a segment without its large columns, in one step.
+    """Rewrite a segment without its large columns, atomically.
 
-    Its batches are joined: many that were written as they came take more room than their rows.
+    Its batches are joined, because many small batches need more space.
     """
     reader, found = read_segment(path)
     if reader.schema is not None:

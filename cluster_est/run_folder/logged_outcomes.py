@@ -1,4 +1,4 @@
-"""The outcomes that stand in a log, for a run that is done again from its start."""
+"""Outcomes in a log, which replace simulations when an interrupted run is repeated."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from cluster_est.run_folder.log_segment import read_segment, repair, residuals_h
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
 KEY_LENGTH = 32
-"""Characters of a key that are kept in memory: 128 bits."""
+"""Number of characters of a key that are kept in memory: 128 bits."""
 
 
 class LoggedOutcomes(OutcomeSource):
-    """The rows of a log, found by what was asked; each is given out once.
+    """The rows of a log, found by key and kind of answer; each is used once.
 
-    Torn and damaged segments are repaired first: only what is as it was written stays in them. Keys
-    are held in memory, about 100 bytes a row; everything else is read from the mapped segments when
-    it is needed.
+    Truncated and damaged segments are repaired first, so that only intact data remain. Keys are
+    kept in memory, about 100 bytes a row. Other columns are read from the mapped segments when
+    needed.
 
     Parameters
     ----------
     folder
-        `evaluations` of a run folder, which no other process writes; may be missing.
+        `evaluations` of a run folder, to which no other process writes; may be missing.
 
     Attributes
     ----------
     next_segment
-        The number with which the log goes on.
+        Number of the next segment of the log.
     remaining
-        How many rows nobody has taken yet.
+        Number of unused rows.
     damaged
-        Whether some of the log was not as it was written, and is gone.
+        Whether a part of the log was damaged and has been removed.
     lost
-        How many rows are known to be gone.
+        Number of rows that are known to be lost.
     differing
-        How many rows gave other residuals when they were simulated again.
+        Number of rows whose repeated simulation gave other residuals.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -75,7 +75,7 @@ class LoggedOutcomes(OutcomeSource):
         return len(self._order)
 
     def take(self, questions: Sequence[tuple[str, Want]]) -> list[int | None]:
-        """For each key and want the first row that nobody has taken, None if all are taken."""
+        """Return the first unused row for each key and kind of answer, None if there is none."""
         asked = np.array([_short(key, want) for key, want in questions], self._keys.dtype)
         places = np.searchsorted(self._keys, asked)
         return [self._take(key, place) for key, place in zip(asked, places.tolist(), strict=True)]
@@ -91,11 +91,11 @@ class LoggedOutcomes(OutcomeSource):
         return None
 
     def is_whole(self, row: int) -> bool:
-        """Return whether the log has all of an outcome, so that it need not be simulated again."""
+        """Return whether the log contains a complete outcome, so no simulation is needed."""
         return bool(self._whole[row])
 
     def outcome(self, row: int, task: int) -> Outcome:
-        """The outcome in a row, as the answer to a task."""
+        """Return the outcome in a row, as the answer to a task."""
         number = int(np.searchsorted(self._begins, row, side="right")) - 1
         batch, i = self._batch(number), row - int(self._begins[number])
         constraints = _floats(batch, "constraints", i)
@@ -112,24 +112,27 @@ class LoggedOutcomes(OutcomeSource):
         )
 
     def compare(self, row: int, outcome: Outcome) -> None:
-        """Compare what was simulated again with the hash of what came out the first time."""
+        """Compare the residuals of a repeated simulation with the logged hash."""
         number = int(np.searchsorted(self._begins, row, side="right")) - 1
         batch = self._batch(number)
         then = batch.column("residuals_hash")[row - int(self._begins[number])].as_py()
         self.differing += then is not None and then != residuals_hash(outcome.residuals)
 
     def close(self) -> None:
-        """Let the segments go: nothing is asked any more, and they may be replaced."""
+        """Close the segments, so that they may be replaced."""
         self._read = (-1, None)
         for mapped in self._segments:
             mapped.close()
 
     def note_answered(self, task: int) -> None:
-        """Remember that a task was answered as a row says: it must not be logged again."""
+        """Remember that a task was answered from the log, so that it is not logged again."""
         self._answered.add(task)
 
     def was_answered(self, task: int) -> bool:
-        """Return whether that is so, and forget it, because the next runner counts from 0."""
+        """Return whether a task was answered from the log, and forget it.
+
+        It must be forgotten because the next runner counts its tasks from 0 again.
+        """
         known = task in self._answered
         self._answered.discard(task)
         return known
@@ -154,7 +157,7 @@ def _keys(batch: pa.RecordBatch) -> IntArray:
 
 
 def _whole(batch: pa.RecordBatch) -> IntArray:
-    """Mark the rows that have all that an answer needs."""
+    """Return whether each row contains everything that an answer needs."""
     failed = pc.not_equal(batch.column("status"), str(Status.OK))
     want = batch.column("want")
     residuals = pc.is_valid(batch.column("residuals"))

@@ -1,4 +1,4 @@
-"""One logged simulation, asked again in a process of its own that shows what the FMU says."""
+"""A logged simulation, repeated in a separate process that shows the messages of the FMU."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, 
 from workers.process.supervisor import SupervisedEvaluator
 
 FACTS = ["search", "evaluation", "purpose", "experiment", "status", "message", "cost"]
-"""Columns of the log that are small."""
+"""Small columns of the log."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +38,19 @@ class LoggedSimulation:
     Attributes
     ----------
     number
-        Of the row, from 0: what the command line calls its ID.
+        Number of the row, from 0; on the command line, its ID.
     search, evaluation, purpose, experiment
-        Who asked for it, and which run it simulates.
+        The search that requested it, and the simulated experiment.
     status, message, cost
-        What came of it; the cost is its sum of what is `summed`, NaN where there was none.
+        Its result; the cost is the sum of the function `summed`, NaN for a failure.
     key
-        Hash of all that it depends on.
+        Hash of everything on which it depends.
     want, values, effects
-        What was asked; effects by name.
+        The task; effects by name.
     residuals, residuals_hash
-        None where it failed, or where the log does not keep them.
+        None if it failed, or if the log does not contain them.
     bound
-        Sum of squares above which it was to end early.
+        Sum of squares above which it should end early.
     """
 
     number: int
@@ -75,7 +75,7 @@ class LoggedSimulation:
 
     @property
     def failed(self) -> bool:
-        """True if it neither reached its end nor was ended early."""
+        """Whether it neither reached its end nor was ended early."""
         return Status(self.status).is_failure
 
     @property
@@ -86,14 +86,14 @@ class LoggedSimulation:
 
 @dataclass(frozen=True)
 class ReplayRequest:
-    """A logged simulation, ready to be run again.
+    """A logged simulation, ready to be repeated.
 
     Attributes
     ----------
     problem, limits
-        As the run's config says.
+        From the run's config.
     task
-        What the worker is asked; its experiment counts those of the problem.
+        Task of the worker; its experiment is an index of those of the problem.
     same
         Whether model, solver, data and effects are those of the run.
     """
@@ -105,7 +105,7 @@ class ReplayRequest:
 
     @property
     def named_values(self) -> list[tuple[str, float]]:
-        """Each value with its parameter, and the FMU's name where that is another."""
+        """Each value with its parameter, and the FMU's name if it differs."""
         problem = self.problem
         named = {p.target: p.name for p in problem.parameters}
         targets = [*problem.model.parameters]
@@ -146,7 +146,7 @@ def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
 
 
 def read_failures(run_folder: Path) -> list[LoggedSimulation]:
-    """Read the rows of a run's log that failed, without what was asked.
+    """Read the failed rows of a run's log, without their tasks.
 
     Raises
     ------
@@ -160,33 +160,34 @@ def read_failures(run_folder: Path) -> list[LoggedSimulation]:
 
 
 def _read(run_folder: Path) -> Any:
-    ended = is_ended(read_facts(run_folder))  # says it if this is no run
+    ended = is_ended(read_facts(run_folder))  # raises an error if this is not a run
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the torn end of a run that was killed
+        warnings.simplefilter("ignore")  # the truncated end of a killed run
         return read_log(run_folder / "evaluations", ended=ended)
 
 
 def prepare(
     run_folder: Path, logged: LoggedSimulation, config: Path | None, *, allow_code: bool
 ) -> ReplayRequest:
-    """Read again what the run was made from.
+    """Read the inputs of a run again.
 
     Parameters
     ----------
     run_folder, logged
         The run, and a row of its log.
     config
-        The config that the run was made from: the paths that it names start from its folder.
-        None if the run knows that folder.
+        The original config of the run, to whose folder its paths are relative. None if the run
+        recorded that folder.
     allow_code
-        Whether Python functions that it names may run.
+        Whether Python functions named in the config may run.
 
     Raises
     ------
     ClusterEstError
-        If something is missing, or the row was simulated with what no config names.
+        If something is missing, or if the row was simulated with effects that are not in the
+        config.
     """
-    read_config_text(run_folder)  # says it if that is damaged
+    read_config_text(run_folder)  # raises an error if the config is damaged
     resolved = read_config(run_folder / "config.toml")
     base = config_base(run_folder, config)
     whole = build_problem(resolved, base, allow_code=allow_code)
@@ -224,7 +225,7 @@ def prepare(
 
 
 def _with_rows_of_run(problem: Problem, config: Config) -> Iterator[Problem]:
-    """Give the problem with all rows, then with those that a step on thinned records may have."""
+    """Yield the problem with all rows, then with thinned records that the run may have used."""
     yield problem
     ways = ways_to_thin(problem, config.thinning.most(), build_resources(config))
     for found, corrected in ways:
@@ -234,7 +235,7 @@ def _with_rows_of_run(problem: Problem, config: Config) -> Iterator[Problem]:
 
 
 def config_base(run_folder: Path, config: Path | None) -> Path:
-    """The folder that the paths of the run's config start from."""
+    """Return the folder to which the paths in the run's config are relative."""
     if config is not None:
         if not config.is_file():
             raise ConfigError(f"--config: there is no config file {config}; check the path")
@@ -265,12 +266,12 @@ def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Ef
 
 
 def replay(question: ReplayRequest) -> Outcome:
-    """Simulate in a process of its own, once; it writes the FMU's messages to stderr as they come.
+    """Simulate once in a separate process, which writes the FMU's messages to stderr.
 
     Raises
     ------
     ModelError
-        If the FMU cannot be loaded, or its process dies while it is.
+        If the FMU cannot be loaded, or its process ends during loading.
     """
     problem, task = question.problem, question.task
     model = replace(problem.model, logging_on=True)
@@ -284,7 +285,7 @@ def replay(question: ReplayRequest) -> Outcome:
 
 
 def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
-    """A sentence: whether an outcome is what was logged."""
+    """Return a sentence that compares an outcome with the logged one."""
     if not logged.ok or outcome.residuals is None:
         if (logged.failed, outcome.failed) == (False, False):
             same = logged.message == outcome.message

@@ -1,4 +1,4 @@
-"""The conditions under which an interrupted run is taken up again."""
+"""Conditions for resuming an interrupted run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunI
 from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
 
 FINAL_TABLES = ("parameters", "ranking", "next_input")
-"""Tables of which every run that has ended has one."""
+"""Tables of which every finished run has at least one."""
 
 
 def is_finished(out: Path) -> bool:
-    """Return whether a folder holds a run that reached its end, and nothing of it is damaged."""
+    """Return whether a folder contains a finished run without damage."""
     return (
         (out / "run.json").is_file()
         and any((out / f"{name}.parquet").is_file() for name in FINAL_TABLES)
@@ -33,7 +33,7 @@ def is_finished(out: Path) -> bool:
 
 
 def is_whole(out: Path) -> bool:
-    """Return whether all that a run has left that is done is as it was written."""
+    """Return whether all files of a finished run are undamaged."""
     try:
         read_config_text(out)
         progress = ProgressTail(out / PROGRESS)
@@ -49,15 +49,15 @@ def is_whole(out: Path) -> bool:
 
 
 def check_resumable(out: Path, identity: RunIdentity) -> bool:
-    """Return whether there is a run to take up again; else the folder is free for a new one.
+    """Return whether there is a run to resume; otherwise the folder is free for a new run.
 
-    Executor, budget and log may be others than before. A budget's evaluations count those of the
-    first run too, its seconds begin anew.
+    Executor, budget and log may have changed. The evaluations of a budget include those of the
+    first run, but its seconds start anew.
 
     Raises
     ------
     RunFolderError
-        If the folder holds something else, or a run of something else.
+        If the folder contains other files, or a run of another problem.
     """
     if not (out / "run.json").is_file():
         check_free(out, overwrite=False)
@@ -73,7 +73,7 @@ def check_resumable(out: Path, identity: RunIdentity) -> bool:
 
 
 def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
-    """Say what differs from the run that is there, as part of a sentence; empty if nothing does."""
+    """Return how the existing run differs, as part of a sentence; empty if it does not."""
     problem = identity.problem
     if facts.get("format") != FORMAT:
         return (
@@ -107,7 +107,7 @@ def _different_key(out: Path, identity: RunIdentity) -> str:
 
 
 def _first_difference(before: Any, now: Any) -> tuple[str, ...]:
-    """The path to the first value that differs; empty if none does."""
+    """Return the path to the first value that differs; empty if none does."""
     pairs: list[tuple[str, Any, Any]] = []
     if isinstance(before, dict) and isinstance(now, dict):
         pairs = [(k, before.get(k), now.get(k)) for k in dict.fromkeys([*before, *now])]
@@ -127,7 +127,7 @@ def _at(tree: Any, key: tuple[str, ...]) -> str:
 
 
 def _different_version(before: dict[str, str]) -> str:
-    """Name the software that differs and decides on bits; Python's patch level does not."""
+    """Return a difference in software that may change bits; Python's patch level is ignored."""
     now = versions()
     for name in ("platform", *DECISIVE):
         if before.get(name) != now.get(name):

@@ -1,4 +1,4 @@
-"""The files of a run folder, read back, and what a run is worth by them."""
+"""Reading of the files of a run folder, and the quality of the run according to them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cluster_est.whole_files import MEND, SEAL, SEAL_KEY, is_damaged, is_sealed,
 
 
 class RunStatus(enum.StrEnum):
-    """The state of a run, as run.json says it."""
+    """The state of a run, as in run.json."""
 
     RUNNING = "running"
     DONE = "done"
@@ -30,23 +30,23 @@ class RunStatus(enum.StrEnum):
 
 
 class RunWorth(enum.StrEnum):
-    """What a run is worth."""
+    """The quality of a run."""
 
     GOOD = "good"
     DOUBTFUL = ""
-    """It ended with a solution, and says what is doubtful of it."""
+    """The run ended with a solution, and its files contain doubts about it."""
     BAD = "bad"
 
 
 def run_worth(status: str, doubts: Sequence[str]) -> RunWorth:
-    """Judge a fit by how it ended and by what is doubtful of its solution.
+    """Return the quality of a fit from its status and the doubts about its solution.
 
     Parameters
     ----------
     status
-        Of the run.
+        Status of the run.
     doubts
-        What is doubtful of its solution, as its run.json or the summary of a sweep says it.
+        Doubts about its solution, from its run.json or the summary of a sweep.
     """
     if status != RunStatus.DONE:
         return RunWorth.BAD
@@ -57,29 +57,29 @@ Rows = list[dict[str, Any]]
 SWEEP_SUMMARY_FILE = "summary.parquet"
 """The table of a sweep in its folder, with a row for each run."""
 SWEEP_HISTORY_FILE = "history.parquet"
-"""The same with a row for each time that a run was done."""
+"""The table of a sweep with a row for each execution of a run."""
 SWEEP_STATE_FILE = "sweep.json"
-"""Where each run of a sweep stands, and which file it is of."""
+"""The state of each run of a sweep, and its file."""
 HISTORY_INPUTS = {
     "config_hash": "config", "data_hash": "data", "fmu_hash": "FMU", "versions_hash": "versions"
 }  # fmt: skip
-"""Columns of a history, and what they are the hash of."""
+"""Hash columns of a history, and the names of the hashed inputs."""
 WITHOUT_ESTIMATES = {"sensitivity": "sensitivity analysis", "design": "design"}
 """Runs that estimate nothing, by the key of run.json that they have."""
 
 
 @dataclass(frozen=True)
 class StoredRun:
-    """Some of what a run folder holds.
+    """Some contents of a run folder.
 
     Attributes
     ----------
     path
         The folder.
     facts
-        What run.json says.
+        Contents of run.json.
     tables
-        Rows by the name of their table; none for a table that the run does not have.
+        Rows by name of the table; empty for a missing table.
     """
 
     path: Path
@@ -88,12 +88,12 @@ class StoredRun:
 
     @property
     def ended(self) -> bool:
-        """True if the run has written its results."""
+        """Whether the run has written its results."""
         return all((self.path / f"{name}.parquet").is_file() for name in ("parameters", "errors"))
 
 
 def left_alone(run_folder: Path, status: str) -> str:
-    """Return a sentence on a run that is under way by its status, without a process; else ""."""
+    """Return a sentence if a run has the status running but no process, otherwise ""."""
     if status != RunStatus.RUNNING or not is_left(run_folder / "evaluations"):
         return ""
     return (
@@ -103,7 +103,7 @@ def left_alone(run_folder: Path, status: str) -> str:
 
 
 def may_be_resumed(run_folder: Path) -> bool:
-    """Return whether a folder holds a run that was interrupted or killed, or is under way."""
+    """Return whether a folder contains a run that was interrupted or killed, or is running."""
     try:
         return read_facts(run_folder)["status"] in (RunStatus.RUNNING, RunStatus.INTERRUPTED)
     except RunFolderError:
@@ -111,12 +111,12 @@ def may_be_resumed(run_folder: Path) -> bool:
 
 
 def read_stored_run(run_folder: Path, tables: Sequence[str]) -> StoredRun:
-    """Return the facts of a run, and those of its tables that are named.
+    """Return the facts and the named tables of a run.
 
     Raises
     ------
     RunFolderError
-        If there is no run, or it is damaged.
+        If there is no run, or if it is damaged.
     """
     paths = {name: run_folder / f"{name}.parquet" for name in tables}
     facts = read_facts(run_folder)
@@ -125,12 +125,12 @@ def read_stored_run(run_folder: Path, tables: Sequence[str]) -> StoredRun:
 
 
 def check_has_estimates(run_folder: Path) -> None:
-    """Refuse a run that has ended and has no estimates.
+    """Refuse a run of a kind that has no estimates.
 
     Raises
     ------
     RunFolderError
-        If it is of another kind.
+        If the run has no estimates.
     """
     for key, kind in WITHOUT_ESTIMATES.items():
         if read_facts(run_folder).get(key):
@@ -141,7 +141,7 @@ def check_has_estimates(run_folder: Path) -> None:
 
 
 def read_facts(run_folder: Path) -> dict[str, Any]:
-    """Return what run.json says.
+    """Return the contents of run.json.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def read_config_text(run_folder: Path) -> str:
     Raises
     ------
     RunFolderError
-        If it is not there, or damaged.
+        If it is missing or damaged.
     """
     path = run_folder / "config.toml"
     if not path.is_file():
@@ -192,12 +192,12 @@ def read_config_text(run_folder: Path) -> str:
 
 
 def is_ended(facts: Mapping[str, Any]) -> bool:
-    """Return whether a run has written all that it has found."""
+    """Return whether a run has written all its results."""
     return facts["status"] in (RunStatus.DONE, RunStatus.NOT_CONVERGED)
 
 
 def write_run_columns(path: Path, table: pa.Table, advice: str) -> None:
-    """Write one of a run's tables in one step, with its checksum.
+    """Write one of a run's tables atomically, with its checksum.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def read_run_columns(path: Path) -> pa.Table:
         if not is_sealed(content):
             table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        reason = " ".join(str(error).split())  # of Arrow, it may have several lines
+        reason = " ".join(str(error).split())  # messages of Arrow may have several lines
         raise RunFolderError(f"{path}: is damaged ({reason}); {MEND}") from error
     kept = {k: v for k, v in (table.schema.metadata or {}).items() if k != SEAL_KEY.encode()}
     return table.replace_schema_metadata(kept or None)

@@ -1,4 +1,4 @@
-"""The run folder: everything that a run leaves behind, as Arrow tables and two text files."""
+"""The run folder: all files that a run writes, as Arrow tables and two text files."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ from cluster_est.whole_files import (
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
-"""All that a folder can hold if its process was killed before it wrote run.json."""
+"""Files that a folder may contain if its process was killed before it wrote run.json."""
 
 
 class RunResult(Protocol):
-    """A result that a folder can hold: of a fit or of a closed loop."""
+    """A result that a folder can store: that of a fit or of a closed loop."""
 
     @property
     def tables(self) -> Sequence[str]:
@@ -55,35 +55,35 @@ class RunResult(Protocol):
         """Return one of its tables."""
 
     def facts(self) -> Mapping[str, Any]:
-        """Return what run.json says of it, its status among that."""
+        """Return the contents of run.json for this result, including its status."""
 
     @property
     def search_seconds(self) -> float:
-        """Seconds that its searches took."""
+        """Duration of its searches in seconds."""
 
 
 class RunFolder:
-    """Writes a run while it is running.
+    """Writes the files of a run while it is running.
 
     Parameters
     ----------
     path
-        Must not hold a run yet, unless `overwrite`.
+        Must not contain a run yet, unless `overwrite`.
     identity
-        What is run.
+        Identity of the run.
     logged
-        What the run that is there has simulated, if it is taken up again: its log goes on.
+        Logged simulations of the existing run, if it is resumed; its log is continued.
     overwrite
-        Whether to replace the run that is there.
+        Whether to replace an existing run.
     held
-        Its lock, if somebody took it already.
+        Lock of the folder, if already taken.
     say
-        Told, in a sentence, what a user should know of the log.
+        Called with a sentence for the user about the log.
 
     Raises
     ------
     RunFolderError
-        If the folder holds something already or cannot be written.
+        If the folder contains something already or is not writable.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class RunFolder:
         say: Callable[[str], None] | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
-        path = path.absolute()  # while an FMU is being loaded, the working folder is another one
+        path = path.absolute()  # an FMU being loaded changes the working folder
         self.path = path
         self._identity, self._problem = identity, identity.problem
         self._config_hash = identity.config_hash
@@ -113,7 +113,7 @@ class RunFolder:
         self._begin = time.time()
         self._lock = held or take_folder(path)
         try:
-            check_free(path, overwrite=overwrite or logged is not None)  # it may have been begun
+            check_free(path, overwrite=overwrite or logged is not None)  # again, now locked
             with writing(path, ELSEWHERE):
                 if overwrite:
                     _remove_run(path)
@@ -138,12 +138,12 @@ class RunFolder:
         )
 
     def note_reset(self, decision: ResetDecision) -> None:
-        """Keep what every simulation begins with."""
+        """Store the reset policy of all simulations."""
         self._reset = decision
         self._write_status(RunStatus.RUNNING, {})
 
     def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
-        """Log one simulation, unless it stands in the log since before the run was resumed."""
+        """Log one simulation, unless it was answered from the log of the resumed run."""
         if self._logged is None or not self._logged.was_answered(outcome.task):
             self._log.record(origin, outcome)
         worker = self._workers[outcome.worker]
@@ -152,9 +152,9 @@ class RunFolder:
         worker["busy_seconds"] += outcome.seconds
 
     def note(self, iteration: SearchIteration) -> None:
-        """Keep the last line that a search shows for each of its iterations, and its end.
+        """Store the last line of each iteration of a search, and its end.
 
-        Of searches of one name the best line is kept, whichever of them was quicker.
+        Of several searches of the same name, the best line is stored, independent of their speed.
         """
         progress = iteration.progress
         if np.isfinite(progress.cost) or progress.ending:
@@ -165,23 +165,23 @@ class RunFolder:
             self._progress.iteration(iteration)
 
     def show(self, snapshot: RunSnapshot) -> None:
-        """Let others see how far it is."""
+        """Write the state of the run to the progress file."""
         self._progress.show(snapshot)
 
     @property
     def has_results(self) -> bool:
-        """Whether a result was kept on the way."""
+        """Whether an intermediate result was stored."""
         return bool(self._so_far)
 
     def keep(self, result: RunResult) -> None:
-        """Write the tables of a result that others may follow, while the run goes on."""
+        """Write the tables of an intermediate result, while the run continues."""
         for name in result.tables:
             self._write_table(name, result.table(name))
         self._so_far = {**result.facts(), "status": RunStatus.RUNNING}
         self._write_status(RunStatus.RUNNING, {})
 
     def write(self, result: RunResult) -> RunStatus:
-        """Write all tables at the end of a run, and return how it stands."""
+        """Write all tables at the end of a run, and return its status."""
         self._log.close()
         self._progress.end()
         for name in result.tables:
@@ -189,14 +189,14 @@ class RunFolder:
         self._write_searches()
         facts = dict(result.facts())
         if self._identity.kind is RunKind.CLOSED_LOOP and self._workers:
-            for name in ("simulations", "failures"):  # of all its runners, not of the last alone
+            for name in ("simulations", "failures"):  # of all runners, not only of the last one
                 facts[name] = int(sum(worker[name] for worker in self._workers.values()))
         searched = result.search_seconds
         self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
         status = RunStatus(facts["status"])
         self._so_far = {}
         self._write_status(status, facts)
-        if status is RunStatus.DONE:  # nothing will ask for them again; any other may be resumed
+        if status is RunStatus.DONE:  # a run with another status may be resumed
             if self._logged is not None:
                 self._logged.close()
             self._log.let_residuals_go()
@@ -214,8 +214,8 @@ class RunFolder:
         self._table("workers", [row | {"seconds": seconds} for row in rows])
 
     def abandon(self, reason: str, status: RunStatus) -> None:
-        """Close the log of a run that ended without a result, and say so as far as that goes."""
-        with suppress(UnwritableError):  # what could not be written is simulated again
+        """Close the log of a run that ended without a result, and write the reason if possible."""
+        with suppress(UnwritableError):  # lost simulations are repeated
             self._log.close()
         self._progress.end()
         with suppress(UnwritableError):
@@ -256,7 +256,7 @@ class RunFolder:
 
 
 def _found_before(path: Path) -> dict[str, Any]:
-    """What a loop that is taken up again had found; its tables are still there."""
+    """Return the previous findings of a resumed loop, whose tables still exist."""
     with suppress(RunFolderError):
         facts = read_facts(path)
         return {} if facts.get("verdict") is None else facts
@@ -264,12 +264,12 @@ def _found_before(path: Path) -> dict[str, Any]:
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
-    """Refuse a folder that holds something, before anything is computed.
+    """Check, before any computation, that a folder may be used for a run.
 
     Raises
     ------
     RunFolderError
-        If it is a file, or holds a run and `overwrite` is false, or holds something else.
+        If it is a file, or contains a run and `overwrite` is false, or contains other files.
     """
     if path.exists() and not path.is_dir():
         raise RunFolderError(f"{path}: must be a folder, but is a file; choose another --out")
@@ -289,7 +289,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 
 
 def only_begun(path: Path) -> bool:
-    """Return whether a folder holds only what a run leaves that was killed at its very start."""
+    """Return whether a folder contains only files of a run that was killed at its start."""
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
     if "evaluations" not in names or not names <= BEGUN or not log.is_dir():
@@ -298,12 +298,12 @@ def only_begun(path: Path) -> bool:
 
 
 def take_folder(path: Path) -> RunLock:
-    """Lock the folder of a run, which is made if it is not there.
+    """Lock the folder of a run, which is created if missing.
 
     Raises
     ------
     RunFolderError
-        If another process has it, or it cannot be made.
+        If another process has locked it, or it cannot be created.
     """
     log = path / "evaluations"
     with writing(path, ELSEWHERE):
@@ -314,13 +314,13 @@ def take_folder(path: Path) -> RunLock:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """Sorts "start 2" before "start 10", so that no table depends on which search was faster."""
+    """Return a key that sorts "start 2" before "start 10", independent of their order of ending."""
     parts = re.split(r"(\d+)", name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no NaN: null stands for it."""
+    """Return a value with null instead of NaN and infinity, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -331,17 +331,17 @@ def _finite(value: Any) -> Any:
 
 
 def _remove_run(path: Path) -> None:
-    """Remove what a run wrote, and nothing else."""
+    """Remove only the files that a run wrote."""
     for each in (path / "evaluations").iterdir():
         if each.name not in (LOCK, OWNER):
             each.unlink()
     texts = [path / name for name in ("run.json", "config.toml", "report.html", PROGRESS)]
     for file in [*path.glob("*.parquet"), *texts]:
-        if not file.is_dir():  # a folder of that name is not the run's
+        if not file.is_dir():  # a folder of that name does not belong to the run
             file.unlink(missing_ok=True)
 
 
 def _lateness(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Order lines of an iteration: the later one of a search, the better one of two searches."""
+    """Return a key of lines of an iteration: later within a search, better between searches."""
     worse = (row["violation"], row["cost"])
     return (row["evaluations"], *(-np.nan_to_num(each, nan=np.inf) for each in worse))

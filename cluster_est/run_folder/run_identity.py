@@ -1,4 +1,4 @@
-"""The identity of a run: its kind, its config, and the hashes and versions that it depends on."""
+"""The identity of a run: its kind, its config, and the hashes and versions on which it depends."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from cluster_est.toml import to_toml
 from workers.messages import content_hash
 
 DECISIVE = ("cluster-est", "cma", "numpy", "piqp", "pymoo", "scipy", "sympy")
-"""Libraries on whose versions bits depend."""
+"""Packages whose versions may change the bits of a result."""
 LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray")
 FORMAT = "2"
 UNHASHED = ("executor", "budget", "log")
-"""Sections of a config that change no result."""
+"""Sections of a config that do not change a result."""
 UNHASHED_MODEL = ("units",)
-"""Keys of its section `model` that change no number."""
+"""Keys of the section `model` that do not change a number."""
 
 
 class RunKind(enum.Enum):
-    """The kinds of runs, each of which leaves some sections of its config unused."""
+    """The kinds of runs, each of which does not use some sections of its config."""
 
     FIT = "fit"
     CLOSED_LOOP = "close-loop"
@@ -38,7 +38,7 @@ class RunKind(enum.Enum):
 
     @property
     def unused_sections(self) -> tuple[str, ...]:
-        """The sections of a config that do not concern it."""
+        """The sections of a config that a run of this kind does not use."""
         if self is RunKind.FIT:
             return ("closed_loop", "sensitivity")
         if self is RunKind.CLOSED_LOOP:
@@ -48,22 +48,22 @@ class RunKind(enum.Enum):
 
 @dataclass(frozen=True)
 class RunIdentity:
-    """Everything that tells a run from others, known before it begins.
+    """Everything that distinguishes a run from others, known before it begins.
 
     Attributes
     ----------
     kind
-        Of the run.
+        Kind of the run.
     problem
-        What is run.
+        Problem of the run.
     config_text, config_hash
-        The resolved config as TOML, and the hash of what determines the result.
+        The resolved config as TOML, and the hash of the parts that determine the result.
     seed
-        Of the run's random generators.
+        Seed of the run's random generators.
     base
-        The folder that the config's paths start from; None without a config.
+        Folder to which paths in the config are relative; None without a config.
     log
-        How much of each simulation is kept.
+        Amount of data to keep of each simulation.
     """
 
     kind: RunKind
@@ -76,7 +76,7 @@ class RunIdentity:
 
     @classmethod
     def of(cls, kind: RunKind, config: Config, base: Path, problem: Problem) -> Self:
-        """Return the identity of what a resolved config describes."""
+        """Return the identity of a run of a resolved config."""
         tree = config.model_dump(mode="json", exclude_defaults=False)
         return cls(
             kind,
@@ -90,7 +90,7 @@ class RunIdentity:
 
 
 def versions() -> dict[str, str]:
-    """Return versions of what a result may depend on."""
+    """Return the versions on which a result may depend."""
     found = {"python": platform.python_version(), "platform": sys.platform}
     for library in LIBRARIES:
         try:
@@ -109,7 +109,7 @@ def _seeds(config: Config) -> dict[RunKind, int]:
 
 
 def hash_config(parts: dict[str, Any], unused: Collection[str]) -> str:
-    """Return the hash of a config without sections that change no result, and without some more."""
+    """Return the hash of a config without sections that do not change a result or are unused."""
     kept = {k: v for k, v in parts.items() if k not in (*UNHASHED, *unused)}
     if "model" in kept:
         kept["model"] = {k: v for k, v in kept["model"].items() if k not in UNHASHED_MODEL}

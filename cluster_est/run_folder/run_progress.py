@@ -1,7 +1,7 @@
-"""The progress of a run: a small file for those who watch its folder from elsewhere.
+"""The progress file of a run, for programs that watch its folder.
 
-The file has a line for each iteration of each search, and one a second for the whole run. It is a
-log and no result; nothing reads it to go on.
+It has a line for each iteration of each search, and a line each second for the complete run. It is
+only a log, and it is not used to resume a run.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 PROGRESS = "progress.jsonl"
 SECONDS_BETWEEN_LINES = 1.0
 MOST_PROGRESS_BYTES = 8 * 2**20
-"""Bytes above which the file begins anew with the last line of each search."""
+"""Size above which the file is restarted with the last line of each search."""
 
 
 class ProgressFile:
-    """Appends lines; who cannot write them loses the view, never the run."""
+    """Appends lines to a progress file; a failed write does not stop the run."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -36,11 +36,11 @@ class ProgressFile:
         self._shown = 0.0
         self._size = 0
         self._ended = False
-        self._lock = threading.Lock()  # a heartbeat comes from a thread of its own
+        self._lock = threading.Lock()  # heartbeats come from another thread
         path.write_bytes(b"")
 
     def iteration(self, iteration: SearchIteration) -> None:
-        """A new line of a search's iteration table."""
+        """Add a line for an iteration of a search."""
         progress = iteration.progress
         row = IterationLine(
             iteration.search, progress.iteration, progress.cost, progress.violation,
@@ -51,7 +51,7 @@ class ProgressFile:
         self._write(line)
 
     def show(self, snapshot: RunSnapshot) -> None:
-        """The state of the whole run, at most once a second; nothing after the end."""
+        """Add a line with the state of the run, at most once a second and not after the end."""
         now = time.monotonic()
         if now - self._shown < SECONDS_BETWEEN_LINES:
             return
@@ -61,7 +61,7 @@ class ProgressFile:
         self._write(_line({"now": row.pop("search"), **row}))
 
     def end(self) -> None:
-        """Nothing follows: whatever reads less than this of a run that has ended lacks lines."""
+        """Add the last line, whose absence reveals a truncated file."""
         self._write(_line({"end": True}), end=True)
 
     def _write(self, line: str, *, end: bool = False) -> None:
@@ -73,14 +73,14 @@ class ProgressFile:
             if self._size > MOST_PROGRESS_BYTES:
                 text, self._size = "".join(self._last.values()).encode() + text, 0
             with self._path.open("r+b") as file:
-                file.truncate(self._size)  # what of a line was written before the disk was full
+                file.truncate(self._size)  # removes a partial line after a full disk
                 file.seek(self._size)
                 file.write(text)
             self._size += len(text)
 
 
 def _line(row: dict[str, Any]) -> str:
-    """One line of JSON, which has no NaN."""
+    """Return one line of JSON, which has no NaN."""
     return sealed(json.dumps({"checksum": SEAL, **_finite(row)}).encode()).decode() + "\n"
 
 
@@ -93,9 +93,9 @@ def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class IterationLine:
-    """One iteration of a search, and the best point until then; costs are NaN where there was none.
+    """One iteration of a search, and the best point so far; missing costs are NaN.
 
-    `best` is None too where a cost at it is infinite.
+    `best` is also None if a cost at it is infinite.
     """
 
     search: str
@@ -108,16 +108,16 @@ class IterationLine:
 
 
 class ProgressTail:
-    """Reads a progress file while it grows, only what is new.
+    """Reads the new lines of a growing progress file.
 
     Attributes
     ----------
     state
-        The last one, without the progress of its search; None before the first.
+        The last state, without the progress of its search; None before the first.
     damaged
-        How many lines are not as they were written; they are left out.
+        Number of damaged lines, which are ignored.
     ended
-        Whether its last line was read.
+        Whether the last line was read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -128,10 +128,10 @@ class ProgressTail:
         self.state: RunSnapshot | None = None
 
     def new(self) -> list[IterationLine]:
-        """The iterations since the last call; a line that is half written comes with the next."""
+        """Return the iterations since the last call; a partial line is read by the next call."""
         try:
             with self._path.open("rb") as file:
-                if file.seek(0, 2) < self._offset:  # it has begun anew
+                if file.seek(0, 2) < self._offset:  # the file was restarted
                     self._offset, self._torn, self.damaged, self.ended = 0, b"", 0, False
                 file.seek(self._offset)
                 found = file.read()
@@ -143,12 +143,12 @@ class ProgressTail:
         return [line for line in read if line is not None]
 
     def check(self) -> None:
-        """Check what was read of a run that has ended.
+        """Check the lines that were read of a finished run.
 
         Raises
         ------
         RunFolderError
-            If a line is not as it was written, or the last one is missing.
+            If a line was changed, or if the last line is missing.
         """
         lost = self.damaged + bool(self._torn)
         if lost:
@@ -179,5 +179,5 @@ class ProgressTail:
             best = row.pop("best", None)
             known = best is not None and None not in (best["cost"], best["violation"])
             return IterationLine(**row, best=BestPoint(**best) if known else None)
-        except (ValueError, TypeError, KeyError, AttributeError):  # no line of such a file
+        except (ValueError, TypeError, KeyError, AttributeError):  # not a line of such a file
             return None

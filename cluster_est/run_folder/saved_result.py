@@ -1,4 +1,4 @@
-"""A result as a run folder has it: what `ce.load` reads."""
+"""A result in a run folder, as read by `ce.load`."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from workers.fmu.description import nearest
 from workers.messages.checks import as_path
 
 OF_THE_RUN = ("searches", "workers")
-"""Tables that only a run with a log has: none of a result in memory."""
+"""Tables that only a run with a log has; a result in memory has none of them."""
 
 
 @dataclass(frozen=True, repr=False)
 class SavedResult(ResultView):
-    """A fit or a closed loop that was saved, by `save` or by a command.
+    """A fit or a closed loop that was saved by `save` or by a command.
 
-    It reads as the result that it was: by the same names, tables and plots. What needs the problem
-    and the FMU, such as another fit, it cannot do.
+    It has the same names, tables and plots as the original result. Operations that need the problem
+    and the FMU, such as another fit, are not available.
 
     Attributes
     ----------
@@ -84,12 +84,12 @@ class SavedResult(ResultView):
 
     @property
     def cost(self) -> float:
-        """Of the training experiments, at the estimates."""
+        """Cost of the training experiments at the estimates."""
         return float(self._facts["cost"])
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what a reader should know."""
+        """Sentences that a reader should know."""
         return tuple(self._facts.get("notes") or ())
 
     def __repr__(self) -> str:
@@ -97,12 +97,12 @@ class SavedResult(ResultView):
 
 
 def load(folder: str | Path) -> SavedResult:
-    """Return the result that a run folder has: of `save`, or of the commands fit and close-loop.
+    """Return the result in a run folder, written by `save` or by the commands fit and close-loop.
 
     Raises
     ------
     RunFolderError
-        If it is no such folder, or its run has no estimates.
+        If it is not a run folder, or if its run has no estimates.
     """
     path = as_path(folder, "folder", ProblemError)
     check_has_estimates(path)

@@ -1,1 +1,1 @@
-"""Runs seen from their folders alone while they go on: as views, and as a page in a browser."""
+"""Views of running runs, read only from their folders, and a web page that shows them."""

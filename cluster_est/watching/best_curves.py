@@ -1,8 +1,8 @@
-"""Measured and simulated curves of a run: those that its folder holds, or those of the best point.
+"""Measured and simulated curves of a run: those in its folder, or those of the best point.
 
-A closed loop writes its curves after each round, a fit at its end. Before that the best point of a
-fit is simulated here once more, in a process of its own, where that takes few seconds: the run
-itself keeps no curves on the way, and what it does stays the same whether somebody looks or not.
+A closed loop writes its curves after each round, and a fit at its end. Before that, the best point
+of a fit is simulated here in a separate process, if this takes few seconds. The run itself stores
+no intermediate curves, so it is not influenced by observers.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from workers.messages import FloatArray, Limits, Outcome, Output, Task
 from workers.process.supervisor import SupervisedEvaluator
 
 CURVE_COLUMNS = 500
-"""Of a chart, each of which shows the lowest and the highest sample."""
+"""Number of columns of a chart, each of which shows the lowest and the highest sample."""
 MOST_SECONDS_TO_REPEAT = 5.0
-"""That a simulation of the run takes on average, up to which one is repeated for who looks."""
+"""Longest average duration of the run's simulations for which a simulation is repeated."""
 
 NOT_YET = (
     "There are no curves yet: a fit shows curves from its first point on, and a search for missing "
@@ -46,9 +46,9 @@ NOT_YET = (
 
 @dataclass(frozen=True)
 class OutputCurve:
-    """What is seen of one output, at measured times, and simulated at finer ones where known.
+    """One output at measured times, and simulated at finer times if available.
 
-    `before` is empty where it is not known.
+    `before` is empty if unknown.
     """
 
     name: str
@@ -66,13 +66,13 @@ class ExperimentCurves:
     Attributes
     ----------
     experiments
-        Those that may be asked for.
+        The available experiments.
     experiment
-        Which one it is; "" if there are none.
+        The experiment of the curves; "" if there are none.
     outputs
         Its curves.
     said
-        Which point they are of, or why there are none.
+        The point of the curves, or why there are none.
     """
 
     experiments: tuple[str, ...] = ()
@@ -82,16 +82,16 @@ class ExperimentCurves:
 
 
 class CurveSource:
-    """Gives the curves of a run while it is running and afterwards.
+    """Provides the curves of a run while it is running and afterwards.
 
     Parameters
     ----------
     run_folder
-        Of the run.
+        Folder of the run.
     config
-        The config that it was made from, if that has moved.
+        The original config of the run, if it has moved.
     allow_code
-        Whether Python functions that the config names may run.
+        Whether Python functions named in the config may run.
     """
 
     def __init__(self, run_folder: Path, config: Path | None, *, allow_code: bool) -> None:
@@ -108,11 +108,11 @@ class CurveSource:
         Parameters
         ----------
         facts
-            What run.json says.
+            Contents of run.json.
         best
             The best point of a fit so far, if there is one.
         seconds
-            That a simulation takes on average.
+            Average duration of a simulation.
         wanted
             The experiment; another one if there is none of that name.
         """
@@ -134,7 +134,7 @@ class CurveSource:
             return ExperimentCurves(said=f"The curves cannot be shown: {error}")
 
     def close(self) -> None:
-        """End the process that simulates, if there is one."""
+        """End the simulating process, if there is one."""
         if self._simulated is not None:
             self._simulated.close()
         self._simulated = None
@@ -142,7 +142,7 @@ class CurveSource:
     def _simulator(self, facts: Mapping[str, Any]) -> _BestSimulator:
         if self._simulated is None or self._of != facts.get("started"):
             self.close()
-            read_config_text(self._path)  # says it if that is damaged
+            read_config_text(self._path)  # raises an error if the config is damaged
             config = read_config(self._path / "config.toml")
             base = config_base(self._path, self._config)
             problem = build_problem(config, base, allow_code=self._allow_code)
@@ -160,7 +160,7 @@ class CurveSource:
         return self._simulated
 
     def _stored(self, facts: Mapping[str, Any], wanted: str) -> ExperimentCurves:
-        """Return the curves that the folder holds."""
+        """Return the curves in the folder."""
         path = self._path / "residuals.parquet"
         if not path.is_file():
             return ExperimentCurves(said="The folder of this run holds no curves.")
@@ -179,7 +179,7 @@ class CurveSource:
 
 
 class _BestSimulator:
-    """Simulates experiments at the best point of a fit, again only after that has moved."""
+    """Simulates experiments at the best point of a fit; repeated only if the point has changed."""
 
     def __init__(self, problem: Problem, limits: Limits) -> None:
         self._problem = problem
@@ -237,7 +237,7 @@ class _BestSimulator:
 
 
 def _curve_at(output: Output, outcome: Outcome) -> OutputCurves:
-    """Return one output as it was simulated, at the measured times."""
+    """Return one simulated output at the measured times."""
     found = compared_values(output, outcome)
     unknown = np.full(len(output.times), np.nan)
     after = unknown if found is None else found
@@ -246,7 +246,7 @@ def _curve_at(output: Output, outcome: Outcome) -> OutputCurves:
 
 
 def _thinned(name: str, curves: OutputCurves) -> OutputCurve:
-    """Keep of each curve what is seen of it."""
+    """Return the visible samples of each curve."""
     kept = extremes(curves.time, curves.measured, CURVE_COLUMNS)
     fine, after, before = curves.fine or (curves.time, curves.after, curves.before)
     pairs = [y for y in (after, before) if np.isfinite(y).any()]

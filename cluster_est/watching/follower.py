@@ -1,4 +1,4 @@
-"""A run that goes on, read from its folder again and again: only what is new, nothing locked."""
+"""A running run, read repeatedly from its folder; only new data are read, and nothing is locked."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from cluster_est.running.resources import RunSnapshot
 from cluster_est.watching.traces import SearchTraces, SearchView
 
 RATE_SECONDS = 15.0
-"""Over which the rate of simulations is taken."""
+"""Time interval for the rate of simulations."""
 LEFT_SECONDS = 2.0
-"""Seconds in which nothing has come, before it is looked whether there is a process at all."""
+"""Seconds without new data after which the existence of the process is checked."""
 
 
 @dataclass(frozen=True)
 class RunView:
-    """The state of a run when its folder is read.
+    """The state of a run at the last reading of its folder.
 
     Attributes
     ----------
     status, message
-        As run.json says.
+        From run.json.
     simulations, failed, failures
-        Of the log.
+        From the log.
     rate
-        Simulations a second in the last seconds; NaN before there are two looks.
+        Recent simulations per second; NaN before the second reading.
     quiet
-        Seconds in which nothing has come.
+        Seconds without new data.
     state
-        What the run itself says of its workers; None before it has.
+        The run's own data on its workers; None before these exist.
     searches
-        The one that has moved last stands last.
+        The search with the latest line comes last.
     facts
-        All that run.json says.
+        Contents of run.json.
     traces
-        All lines of the searches, which grow while the run is followed.
+        All lines of the searches so far.
     problem
-        Why the report could not be written, if that was asked for.
+        Why the report could not be written, if requested.
     """
 
     status: str
@@ -69,14 +69,14 @@ class RunView:
 
 
 class RunFollower:
-    """Looks at a run folder again and again, and reads only what is new.
+    """Reads new data from a run folder repeatedly.
 
     Parameters
     ----------
     path
-        Of the run.
+        Path of the run.
     clock
-        Gives seconds; for tests.
+        Returns seconds; for tests.
 
     Raises
     ------
@@ -98,9 +98,9 @@ class RunFollower:
         self._moved = self._clock()
 
     def look(self) -> RunView:
-        """Read what is new, and return the state of the run."""
+        """Read new data, and return the state of the run."""
         started = self._facts.get("started")
-        with suppress(RunFolderError):  # it is being replaced: what was known before holds so long
+        with suppress(RunFolderError):  # while it is being replaced, the last state holds
             self._facts = read_facts(self.path)
         if self._facts.get("started") != started:
             self._begin()
@@ -108,7 +108,7 @@ class RunFollower:
         state = self._progress.state
         for line in self._progress.new():
             self._traces.note(line)
-        if self._progress.state is not state:  # a sign of life, whether simulations come or not
+        if self._progress.state is not state:  # a heartbeat, even without simulations
             self._moved = self._clock()
         counts = self.tail.counts
         rate = self._rate(counts.rows)
@@ -129,12 +129,12 @@ class RunFollower:
         )
 
     def check(self) -> None:
-        """Check that nothing was left out of what was shown of a run that has ended.
+        """Check that the data shown of a finished run are complete.
 
         Raises
         ------
         RunFolderError
-            If its progress is damaged.
+            If its progress file is damaged.
         """
         self._progress.check()
 

@@ -1,4 +1,4 @@
-"""The runs behind a page: found in their folder, looked at when a page asks, stopped when told."""
+"""The runs of a page: found in their folder, and read or stopped on request."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from cluster_est.watching.page_state import RunRow, curves_state, parameter_rows
 from cluster_est.whole_files import ELSEWHERE, writing
 
 SECONDS_BETWEEN_LOOKS = 0.5
-"""Pages that ask more often are told the same."""
+"""Requests within this interval get the same answer."""
 SECONDS_OF_INTEREST = 5.0
-"""A page that has not asked for so long is closed."""
+"""A page without a request for this time counts as closed."""
 NOT_BEGUN = {"name": "", "status": "starting", "goes_on": True}
 
 
 class FollowedRun:
-    """One run, looked at when somebody asks.
+    """A run that is read when a page requests it.
 
     Parameters
     ----------
     path, name
-        Of its folder.
+        Path and name of its folder.
     config, allow_code
         See `CurveSource`.
     """
@@ -45,12 +45,12 @@ class FollowedRun:
         self._looked = -np.inf
 
     def state(self) -> dict[str, Any]:
-        """Return all that its page shows.
+        """Return all data of its page.
 
         Raises
         ------
         RunFolderError
-            If something of it is damaged.
+            If a file is damaged.
         """
         with self._looking:
             if time.monotonic() - self._looked < SECONDS_BETWEEN_LOOKS:
@@ -75,7 +75,7 @@ class FollowedRun:
         return curves_state(self._source.look(view.facts, view.traces.best, average, experiment))
 
     def close(self) -> None:
-        """End what was started for its page."""
+        """Release the resources of its page."""
         self._source.close()
 
 
@@ -85,9 +85,9 @@ class RunPages:
     Parameters
     ----------
     folder
-        Of a run, which may not have begun, or of runs in folders below it.
+        Folder of a run, which may not exist yet, or a folder that contains folders of runs.
     config, allow_code
-        See `CurveSource`; a config is that of a single run.
+        See `CurveSource`; a config belongs to a single run.
     """
 
     def __init__(self, folder: Path, config: Path | None, *, allow_code: bool) -> None:
@@ -100,7 +100,7 @@ class RunPages:
         self._end_seen = self._end_drawn = False
 
     def state(self, run: str) -> dict[str, Any]:
-        """Return the state of a run by its name; of the run or of all runs of the folder if "".
+        """Return the state of a run by its name; for "", that of the only run or of all runs.
 
         Raises
         ------
@@ -129,12 +129,12 @@ class RunPages:
         return found
 
     def stop(self, run: str) -> dict[str, Any]:
-        """Have a run end as Ctrl-C ends it.
+        """Stop a run as Ctrl-C does.
 
         Raises
         ------
         RunFolderError
-            If there is no such run, it does not go on, or its folder cannot be written.
+            If there is no such run, it is not running, or its folder is not writable.
         """
         path = self._run(run).path
         status = str(read_facts(path)["status"])
@@ -148,7 +148,7 @@ class RunPages:
         return {"stopped": True}
 
     def seen_at_the_end(self, seconds: float) -> None:
-        """Wait until a page that is open has seen that the run has ended, but not for longer."""
+        """Wait until an open page has read the end of the run, but not longer than `seconds`."""
         begun = time.monotonic()
         while time.monotonic() - begun < seconds:
             if begun - self._asked > SECONDS_OF_INTEREST or self._end_drawn:
@@ -156,7 +156,7 @@ class RunPages:
             time.sleep(0.05)
 
     def close(self) -> None:
-        """End what was started for the pages."""
+        """Release the resources of the pages."""
         with self._looking:
             for run in self._runs.values():
                 run.close()

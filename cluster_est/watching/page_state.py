@@ -1,4 +1,4 @@
-"""What the page of a run, or of a folder of runs, is told: plain dictionaries for JSON."""
+"""Data for the page of a run, or of a folder of runs: plain dictionaries for JSON."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cluster_est.watching.follower import RunView
 from cluster_est.watching.traces import SearchTraces, is_of_fit
 
 COST_COLUMNS, SMALL_COLUMNS = 300, 40
-"""Of a chart of costs, and of a small line in a table."""
+"""Numbers of columns of a chart of costs, and of a small line in a table."""
 MOST_COST_LINES, MOST_PAGE_SEARCHES, MOST_PAGE_FAILURES = 40, 12, 8
 MOST_PAGE_PARAMETERS = 200
 MOST_PAGE_WORKERS, BUSY_BINS = 16, 60
@@ -46,7 +46,7 @@ PARAMETER_COLUMNS = ("label", "value", "unit", "start", *BOUNDS, "std_error", "a
 
 
 def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]:
-    """Return all that the page of one run shows, but its curves."""
+    """Return all data of a run's page except its curves."""
     state, facts, traces = view.state, view.facts, view.traces
     going_on = not view.ended
     return _plain({
@@ -94,7 +94,7 @@ def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]
 
 
 def best_cost(facts: Mapping[str, Any], traces: SearchTraces) -> float | None:
-    """Return the cost of what a run has found, or of the best point of a fit so far."""
+    """Return the cost of a run's result, or of the best point of a fit so far."""
     known = facts.get("cost")
     if known is not None:
         return float(known)
@@ -102,13 +102,13 @@ def best_cost(facts: Mapping[str, Any], traces: SearchTraces) -> float | None:
 
 
 def _known(name: str, facts: Mapping[str, Any], state: RunSnapshot | None) -> Any:
-    """Return a number of a run: as it has written it at its end, else as it said it last."""
+    """Return a number of a run: the final one, otherwise the last reported one."""
     known = None if facts["status"] == RunStatus.RUNNING else facts.get(name)
     return getattr(state, name, None) if known is None else known
 
 
 def _doing(state: RunSnapshot | None) -> dict[str, Any]:
-    """Return what is done now, in words and as a share where that is known."""
+    """Return the current activity in words, and its completed share if known."""
     if state is None:
         return {"doing": "", "left": "", "pace": "", "done": None, "of": None}
     return {
@@ -121,7 +121,7 @@ def _doing(state: RunSnapshot | None) -> dict[str, Any]:
 
 
 def _costs(traces: SearchTraces) -> dict[str, Any]:
-    """Return lines of cost over the evaluations of each search, or dots where names are shared."""
+    """Return lines of cost over the evaluations of each search, or dots if names are shared."""
     known = [each for each in traces.costs if is_of_fit(each[0])]
     if not known:
         return _all_costs(traces.costs)
@@ -153,7 +153,7 @@ def _thin(points: Sequence[tuple[float, float]], columns: int) -> list[tuple[flo
 
 
 def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
-    """Return the parameters of what was found, or of the best point of a fit so far."""
+    """Return the parameters of the result, or of the best point of a fit so far."""
     table = run_folder / "parameters.parquet"
     if table.is_file() and (view.ended or view.facts.get("verdict") is not None):
         rows = [
@@ -177,7 +177,7 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
 
 
 def _declared(run_folder: Path) -> dict[str, dict[str, float]]:
-    """Return start and bounds of each parameter, where the config gives them as numbers."""
+    """Return start and bounds of each parameter that are numbers in the config."""
     sections = tomllib.loads(read_config_text(run_folder)).get("parameters", {})
     found: dict[str, dict[str, float]] = {}
     for name, section in sections.items():
@@ -190,7 +190,7 @@ def _declared(run_folder: Path) -> dict[str, dict[str, float]]:
 
 
 def _busy(activity: LogActivity) -> list[dict[str, Any]]:
-    """Return for how much of each stretch of the run each worker was busy."""
+    """Return the share of each time interval of the run in which each worker was busy."""
     if not len(activity.ended) or not np.isfinite(activity.ended).all():
         return []
     _, shares = busy_shares(without_breaks(activity)[0], BUSY_BINS)
@@ -221,7 +221,7 @@ def curves_state(curves: ExperimentCurves) -> dict[str, Any]:
 
 
 class RunRow:
-    """One run of a folder of runs: followed by what it says of itself, not by its log."""
+    """One run of a folder of runs, read from its progress file and not from its log."""
 
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.name = path, name
@@ -233,7 +233,7 @@ class RunRow:
         self._traces = SearchTraces()
 
     def look(self) -> dict[str, Any]:
-        """Return what its row shows now."""
+        """Return the current contents of its row."""
         try:
             facts = read_facts(self.path)
         except (RunFolderError, OSError) as error:
@@ -272,7 +272,7 @@ def _first(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def _age(started: object) -> float | None:
-    """Return the seconds since a time as run.json has it."""
+    """Return the seconds since a time in the format of run.json."""
     try:
         begun = calendar.timegm(time.strptime(str(started), "%Y-%m-%dT%H:%M:%SZ"))
     except ValueError:
@@ -281,7 +281,7 @@ def _age(started: object) -> float | None:
 
 
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what JSON can say: it has neither NaN nor infinity."""
+    """Return a row for JSON, which has neither NaN nor infinity."""
     return {key: _said(value) for key, value in row.items()}
 
 

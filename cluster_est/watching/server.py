@@ -1,8 +1,8 @@
-"""The server of the page: for this machine alone, and for those who know its token.
+"""The server of the page, only for this machine and for clients with its token.
 
-A web site that is open in the same browser can send requests to this machine too. It does not know
-the token; and a request that names another host, as after a name has been made to lead here, or
-that comes from a page of another origin is refused whatever it knows.
+A web site that is open in the same browser can also send requests to this machine, but it does not
+have the token. Requests for another host name (DNS rebinding) and requests from a page of another
+origin are refused even with the token.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from cluster_est.watching.page_sources import RunPages
 
 LOOPBACK = "127.0.0.1"
 SECONDS_TO_NOTICE = 0.05
-"""That the server takes to see that it is closed."""
+"""Longest delay until the server notices that it is closed."""
 SECONDS_OF_REQUEST = 30.0
-"""After which a connection that says nothing is closed."""
+"""Seconds after which an idle connection is closed."""
 REFUSED = "open this page on this machine, with the address that the command printed"
 
 
@@ -42,23 +42,23 @@ class LivePage:
     Parameters
     ----------
     folder
-        Of a run, which may not have begun, or of runs.
+        Folder of a run, which may not exist yet, or of runs.
     port
-        To listen at; 0 for any that is free.
+        Port of the server; 0 for any free port.
     config
-        The config that the run was made from, if that has moved.
+        The original config of the run, if it has moved.
     allow_code
-        Whether Python functions that the config names may run.
+        Whether Python functions named in the config may run.
 
     Attributes
     ----------
     address
-        With the token.
+        Address with the token.
 
     Raises
     ------
     RunFolderError
-        If the port is taken.
+        If the port is in use.
     """
 
     def __init__(
@@ -95,12 +95,12 @@ class LivePage:
         self._pages.close()
 
     def last_look(self, seconds: float) -> None:
-        """Wait so long at most until a page that is open has seen that the run has ended."""
+        """Wait until an open page has read the end of the run, but not longer than `seconds`."""
         self._pages.seen_at_the_end(seconds)
 
 
 class _Server(ThreadingHTTPServer):
-    """Holds what the handler of each request needs."""
+    """Contains the data for the handler of each request."""
 
     daemon_threads = True
     allow_reuse_address = False
@@ -113,11 +113,11 @@ class _Server(ThreadingHTTPServer):
 
     @override
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print nothing of a browser that has gone."""
+        """Print nothing when a browser has disconnected."""
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one request: the page, its figures as JSON, or an order to stop."""
+    """Answers one request: the page, its data as JSON, or an order to stop."""
 
     server: _Server
     server_version, sys_version = "cluster-est", ""
@@ -125,7 +125,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     @override
     def log_message(self, format: str, *args: Any) -> None:
-        """Print nothing: addresses have the token in them."""
+        """Print nothing, because addresses contain the token."""
 
     def do_GET(self) -> None:
         self._answer({"/": self._page, "/state": self._state, "/curves": self._curves})
@@ -144,7 +144,7 @@ class _Handler(BaseHTTPRequestHandler):
             known[address.path](asked)
 
     def _is_allowed(self, token: str) -> bool:
-        """Return whether the token is right, and the request is of the page itself."""
+        """Return whether the token is correct, and the request comes from the page itself."""
         hosts = self.server.hosts
         origins = [f"http://{host}" for host in hosts]
         return (
@@ -170,7 +170,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _told(self, make: Any) -> None:
         try:
             self._send(HTTPStatus.OK, make())
-        except (ClusterEstError, OSError) as error:  # it may be better at the next look
+        except (ClusterEstError, OSError) as error:  # the next request may succeed
             self._send(HTTPStatus.CONFLICT, {"problem": str(error)})
 
     def _send(self, status: HTTPStatus, found: Mapping[str, Any]) -> None:
@@ -196,7 +196,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 @cache
 def live_page() -> tuple[bytes, str]:
-    """Return the page, and the policy by which nothing runs or is fetched but what is its own."""
+    """Return the page, and a policy that allows only its own scripts and requests."""
     file = importlib.resources.files("cluster_est.watching").joinpath("live.html")
     text = file.read_text(encoding="utf-8")
     script, style = (_digest(text, tag) for tag in ("script", "style"))

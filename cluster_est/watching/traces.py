@@ -1,4 +1,4 @@
-"""The searches of a run by the lines of their tables: their costs, and the best point of a fit."""
+"""The searches of a run, from their iteration lines: their costs, and the best point of a fit."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from cluster_est.run_folder.run_progress import IterationLine
 from cluster_est.running.resources import BestPoint
 
 MOST_TRACED_VALUES = 60
-"""Unknowns up to which it is kept how the best value of each went."""
+"""Largest number of unknowns for which the history of the best value is kept."""
 
 
 def is_of_fit(search: str) -> bool:
-    """Return whether all unknowns of a fit are searched, by the cost of the run.
+    """Return whether a search varies all unknowns of a fit and has the cost of the run.
 
-    Refits of profiles and of a bootstrap have other unknowns or other data, and those of a closed
-    loop other models: their costs are not compared.
+    Refits of profiles and of a bootstrap have other unknowns or data, and refits of a closed loop
+    have other models. Their costs cannot be compared.
     """
     return search == "train" or search.startswith("start ")
 
 
 @dataclass(frozen=True)
 class SearchView:
-    """A search: its best cost so far (NaN if it has none), and its last line."""
+    """A search: its best cost so far (NaN without any), and its last line."""
 
     best: float
     last: IterationLine
@@ -31,21 +31,21 @@ class SearchView:
 
 @dataclass
 class SearchTraces:
-    """The lines of all searches, in the order in which they came.
+    """The lines of all searches, in order of time.
 
     Attributes
     ----------
     searches
-        By name; the one that has moved last stands last.
+        Searches by name; the search with the latest line comes last.
     costs
         (search, its evaluations, cost) of each line with a cost.
     best
-        Over all searches of a fit; None before there is a point.
+        Best point over all searches of a fit; None before the first point.
     lowest
         The best cost after each line of those searches.
     values
-        For each label the value at the best point after each of those lines, up to a number of
-        labels.
+        For each label, the value at the best point after each of those lines, up to a maximum
+        number of labels.
     """
 
     searches: dict[str, SearchView] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class SearchTraces:
     values: dict[str, list[float]] = field(default_factory=dict)
 
     def note(self, line: IterationLine) -> None:
-        """Take in one more line."""
+        """Add a line."""
         known = self.searches.pop(line.search, None)
         costs = [line.cost] if known is None else [line.cost, known.best]
         best = min((cost for cost in costs if not math.isnan(cost)), default=math.nan)

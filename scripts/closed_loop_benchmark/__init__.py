@@ -1,1 +1,1 @@
-"""A benchmark for finding effects that an FMU lacks, with a truth that is never the FMU."""
+"""A benchmark for finding effects that an FMU lacks; the true system is never the FMU itself."""

@@ -1,12 +1,11 @@
-"""Which parts of a search changed anything in a loop: to leave out any other changes nothing.
+"""Detection of the parts of a search that influenced the result of a loop.
 
     with noted_parts() as notes:
         close_loop(problem)
 
-A gate counts where it refuses, a move where what it proposes is taken, or may have been. The search
-is a function of its data, so without the others it says the same, after fewer simulations by those
-that they have spent, but for a few that are asked for again. What is not known to be without
-consequences counts as a change.
+A gate counts if it refuses something. A move counts if its proposal is accepted, or may have been.
+The search is deterministic. So without the other parts, its result is the same, with fewer
+simulations, apart from a few repeated ones. Parts with unknown consequences count as active.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ LAST_RESORT = {
     for move in moves.MOVES
     if move.preferred in (moves.own_if_it_won, moves.better_of_free)
 }
-"""Moves that change nothing where what they propose does not win."""
+"""Moves without influence if their proposals do not win."""
 
 WATCHED = {
     *LAST_RESORT,
@@ -46,22 +45,22 @@ WATCHED = {
     LoopPart.BOUNDED,
     *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
 }
-"""Parts of which it is noted whether they change anything; the others are taken to do so."""
+"""Parts whose influence is detected; other parts count as active."""
 
 ANOTHER_LOOP = 1e9
-"""Simulations between those of one fitter and those of the next, which counts from 0 again."""
+"""Offset between the simulation counts of two fitters, because each counts from 0."""
 
 
 @dataclass
 class PartNotes:
-    """What the parts of a search have done.
+    """Activity of the parts of a search.
 
     Attributes
     ----------
     active
-        The parts without which something else might have been said.
+        The parts without which the result might have been different.
     spans
-        Of each call of a part: its name, and the simulations before it and after it.
+        For each call of a part: its name, and the simulations before it and after it.
     """
 
     active: set[str] = field(default_factory=lambda: {*LoopPart} - WATCHED)
@@ -69,16 +68,16 @@ class PartNotes:
     _meters: list[object] = field(default_factory=list)
 
     def watched(self, part: LoopPart | None, call: Calls, changes: Calls) -> Calls:
-        """Return a function that notes what it simulates, and whether its answer changes anything.
+        """Return a function that records its simulations, and whether its result has an influence.
 
         Parameters
         ----------
         part
-            None for what cannot be left out.
+            None for a part that cannot be omitted.
         call
-            With a fitter among its arguments, or without simulations.
+            A function with a fitter among its arguments, or without simulations.
         changes
-            Whether an answer does, given that and the arguments.
+            Returns whether a result has an influence, from the result and the arguments.
         """
         if part is None:
             return call
@@ -97,7 +96,7 @@ class PartNotes:
         return noted
 
     def chosen(self, *given: Any) -> RoundEnd:
-        """Choose; where the best was not refused alone, those asked after it make a difference."""
+        """Choose a set; candidates after the best one count unless it was refused alone."""
         end = gates.choose(*given)
         refused = [part for part in end.stopped.values() if part in gates.OF_ONE_STRUCTURE]
         if len(refused) > (end.won is None):
@@ -114,7 +113,7 @@ class PartNotes:
 
 
 def saved(spans: list[tuple[str, float, float]], parts: set[str]) -> float:
-    """Return the simulations of all calls of some parts, each once where calls are nested."""
+    """Return the simulations of all calls of some parts; nested calls count once."""
     own = sorted((begin, end) for part, begin, end in spans if part in parts)
     total, last = 0.0, 0.0
     for begin, end in own:
@@ -125,7 +124,7 @@ def saved(spans: list[tuple[str, float, float]], parts: set[str]) -> float:
 
 @contextmanager
 def noted_parts() -> Iterator[PartNotes]:
-    """Note what the parts of a search do, while the context lasts."""
+    """Record the activity of the parts of a search while the context lasts."""
     notes = PartNotes()
     with ExitStack() as patches:
         for owner, others in _patches(notes).items():
@@ -134,7 +133,7 @@ def noted_parts() -> Iterator[PartNotes]:
 
 
 def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
-    """By module or class, what stands in the place of its own."""
+    """Return the replacements of functions, by module or class."""
     watched, part = notes.watched, LoopPart
     widths = watched(
         part.SWITCH_WIDTHS, moves.release_widths, lambda left, *given: left is not given[2]
@@ -173,7 +172,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
 
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
-    """Watch those of last resort; others change something in any case."""
+    """Watch moves of last resort; other moves always count."""
     if move.part not in LAST_RESORT:
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
@@ -188,5 +187,5 @@ def _said(answer: bool, *_: object) -> bool:
 
 
 def _left_out(left: list[Any], _fitter: object, _current: object, contenders: list[Any]) -> bool:
-    """Whether a filter has left out or moved anything."""
+    """Return whether a filter has removed or moved anything."""
     return list(map(id, left)) != list(map(id, contenders))

@@ -9,7 +9,7 @@ from closed_loop_benchmark.system import Array, Role, Run, Values, make_run
 
 
 def cell_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """Charge of the cell, and of the capacitor that lags behind the current."""
+    """Charge of the cell, and of the capacitor with the lagging voltage."""
     (_, lagging), (current,), (capacity, _, resistance, capacitance) = x, u, p
     return -current / capacity, (current - lagging / resistance) / capacitance
 
@@ -127,7 +127,7 @@ def kiln_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
 
 
 def kiln_runs(time: Array, random: np.random.Generator) -> list[Run]:
-    """Heat up, hold and let cool, in a hall whose temperature wanders."""
+    """Heat up, hold and cool down, in a hall with a varying temperature."""
 
     def run(waveform: str, role: Role, power: Array, start: float) -> Run:
         ambient = 293.0 + 6.0 * wave.ramps(time, random, 900.0)
@@ -144,7 +144,7 @@ def kiln_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 
 def tank_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """Torricelli's law: an outflow goes with the root of its level."""
+    """Torricelli's law: an outflow is proportional to the root of its level."""
     (upper, lower), (pump,), (outlet_1, outlet_2, gain) = x, u, p
     between = outlet_1 * np.sqrt(np.maximum(upper, 0.0))
     away = outlet_2 * np.sqrt(np.maximum(lower, 0.0))
@@ -152,7 +152,7 @@ def tank_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
 
 
 def tank_runs(time: Array, random: np.random.Generator) -> list[Run]:
-    """Pump between nothing and 4 V."""
+    """Pump with voltages from 0 to 4 V."""
 
     def run(waveform: str, role: Role, mean: float, size: float, shape: Array) -> Run:
         pump = np.clip(mean + size * shape, 0.0, 5.0)
@@ -170,7 +170,7 @@ def tank_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 
 def reactor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """Balances of substance and of heat, the reaction by Arrhenius."""
+    """Balances of substance and of heat, with an Arrhenius reaction."""
     (c, temperature), (flow, coolant) = x, u
     speed_350, activation, c_feed, t_feed, rise, cooling, volume = p
     turned = speed_350 * np.exp(activation / 350.0 - activation / temperature) * c
@@ -182,7 +182,7 @@ def reactor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
 
 
 def reactor_runs(time: Array, random: np.random.Generator) -> list[Run]:
-    """Change feed and coolant around a stable point of operation."""
+    """Change feed and coolant around a stable operating point."""
 
     def run(role: Role, names: str, feed: Array, coolant: Array, start: float) -> Run:
         inputs = [1.6e-3 + 4e-4 * feed, 326.0 + coolant]
@@ -247,7 +247,7 @@ def body_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 
 def chemostat_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """Balances of biomass and substrate, growth by Monod."""
+    """Balances of biomass and substrate, with Monod growth."""
     (biomass, substrate), (dilution, feed) = x, u
     fastest, half, gained = p
     growth = fastest * biomass * substrate / (half + substrate)
@@ -258,7 +258,7 @@ def chemostat_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...
 
 
 def chemostat_runs(time: Array, random: np.random.Generator) -> list[Run]:
-    """Change the flow and the strength of the feed, at times near to washing out."""
+    """Change the flow and the concentration of the feed, sometimes close to washout."""
 
     def run(waveform: str, role: Role, flow: Array, feed: Array, start: float) -> Run:
         inputs = [5.5e-5 + 4e-5 * flow, 8.0 + 4.0 * feed]

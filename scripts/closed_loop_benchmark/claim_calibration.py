@@ -1,12 +1,12 @@
-"""How sure claims are: the regression of the package, fitted anew to claims whose truth is known.
+"""Certainty of claims: the package's regression, refitted to claims with a known truth.
 
-What it prints stands in `cluster_est/closed_loop/findings/claims.py`, which says what each figure
-is. It must be fitted again when the search, its library or its gates have changed, to records of
-loops with all forms, with half of them and without those of the answer (`--subsets 1 --lacking 1`):
-a library rarely has all that a user's model lacks.
+Its output is stored in `cluster_est/closed_loop/findings/claims.py`, which explains each figure. It
+must be refitted when the search, its library or its gates have changed. The records must include
+loops with all forms, with half of them, and without those of the answer (`--subsets 1
+--lacking 1`), because a library rarely contains everything that a user's model lacks.
 
-Probabilities are compared with the truth on systems that the regression has not seen: claims of one
-system are alike.
+Probabilities are tested on systems that the regression has not seen, because claims of one system
+are similar.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from cluster_est.closed_loop.findings.claims import (
 
 WEIGHTS = ("fewer", "clean", "apart", "chosen")
 WEIGHT_PENALTY = 0.1
-"""Of the squares of the weights of standardised figures, in -2 log likelihood: a prior with a
-standard deviation of 3, which keeps weights finite where a figure alone tells right from wrong.
-From 0.03 to 3 the Brier score of 306 claims stayed within 0.0001."""
+"""Penalty on the squares of the weights of standardised figures, in -2 log likelihood. It is a
+prior with a standard deviation of 3, which keeps weights finite if one figure separates right from
+wrong claims. From 0.03 to 3, the Brier score of 306 claims stayed within 0.0001."""
 BINS = 5
 
 
 @dataclass(frozen=True)
 class KnownClaim:
-    """An effect of a loop on the benchmark whose truth is known.
+    """An effect of a benchmark loop with a known truth.
 
     Attributes
     ----------
     case, system, tuned
-        Where it is from, and whether methods may be tuned on that system.
+        Its origin, and whether methods may be tuned on that system.
     claimed
-        It was claimed; else it is a lead.
+        Whether it was claimed; otherwise it is a lead.
     right, place
-        It is right in place and kind; in place.
+        Whether it is right in place and kind; in place.
     evidence
-        What spoke for it.
+        Evidence for it.
     """
 
     case: str
@@ -63,7 +63,7 @@ class KnownClaim:
 
 
 def claims_of(scores: Iterable[Score]) -> list[KnownClaim]:
-    """Return the claims and leads of records; what loops on one case say alike counts once."""
+    """Return the claims and leads of records; equal claims of loops on one case count once."""
     names = [field.name for field in fields(ClaimEvidence)]
     found: dict[tuple[object, ...], KnownClaim] = {}
     for score in scores:
@@ -78,14 +78,14 @@ def claims_of(scores: Iterable[Score]) -> list[KnownClaim]:
 
 
 def fitted(figures_: np.ndarray, right: np.ndarray) -> tuple[float, np.ndarray]:
-    """Fit a logistic regression without negative weights: its intercept and weights.
+    """Fit a logistic regression with nonnegative weights; return its intercept and weights.
 
     Parameters
     ----------
     figures_ : (claims, weights)
-        What the weights multiply.
+        Predictors.
     right : (claims,)
-        Whether a claim is right.
+        Whether each claim is right.
     """
     mean, spread = figures_.mean(axis=0), np.maximum(figures_.std(axis=0), 1e-9)
     scaled, sign = (figures_ - mean) / spread, np.where(right, 1.0, -1.0)
@@ -103,7 +103,7 @@ def fitted(figures_: np.ndarray, right: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def calibrated(claims: Sequence[KnownClaim]) -> ClaimCalibration:
-    """Fit the regression to the claims of laws, and count how many of all kinds were right."""
+    """Fit the regression to the claims of laws, and count the right claims of each kind."""
     laws = _laws(claims)
     curves = [each for each in claims if each.claimed and each.evidence.free]
     leads = [each for each in claims if not each.claimed]
@@ -126,7 +126,7 @@ def calibrated(claims: Sequence[KnownClaim]) -> ClaimCalibration:
 
 
 def left_out(laws: Sequence[KnownClaim]) -> tuple[np.ndarray, np.ndarray]:
-    """Return what would be said of claims of laws by those of all other systems.
+    """Return the probabilities of claims of laws from the claims of all other systems.
 
     Returns
     -------
@@ -147,18 +147,18 @@ def _laws(claims: Sequence[KnownClaim]) -> list[KnownClaim]:
 
 
 def _table(laws: Sequence[KnownClaim]) -> tuple[np.ndarray, np.ndarray]:
-    """What the weights multiply, and whether each claim is right."""
+    """Return the predictors of claims, and whether each claim is right."""
     return np.array([figures(e.evidence) for e in laws]), np.array([e.right for e in laws])
 
 
 def _systems(laws: Sequence[KnownClaim]) -> Iterator[np.ndarray]:
-    """Tell for one system after the other which claims are its own."""
+    """Yield the claims of each system as a mask."""
     systems = np.array([each.system for each in laws])
     return (systems == system for system in dict.fromkeys(systems.tolist()))
 
 
 def _rising(bins: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[LikeClaims, ...]:
-    """Count the claims of bins, and join bins until more are right in each than in the last one."""
+    """Count the claims in bins, and join bins until the share of right claims increases."""
     joined: list[LikeClaims] = []
     for probability, right in bins:
         new = LikeClaims(_short(probability.min()), int(right.sum()), len(right))
@@ -185,7 +185,7 @@ def _short(value: float) -> float:
 
 
 def _bins(probability: np.ndarray, right: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Cut claims into bins of one size, the least probable first."""
+    """Divide claims into bins of equal size, the least probable first."""
     order = np.argsort(probability, kind="stable")
     return [(probability[rows], right[rows]) for rows in np.array_split(order, BINS)]
 
@@ -198,7 +198,7 @@ def area_under_curve(probability: np.ndarray, right: np.ndarray) -> float:
 
 
 def calibration_report(claims: Sequence[KnownClaim]) -> str:
-    """Say how probabilities of claims compare with the truth, and print what the package needs."""
+    """Return a comparison of probabilities with the truth, and the data for the package."""
     laws = _laws(claims)
     _, right = _table(laws)
     probability, base = left_out(laws)
@@ -226,7 +226,7 @@ def calibration_report(claims: Sequence[KnownClaim]) -> str:
 
 
 def _share(right: np.ndarray, said: float) -> str:
-    """A share with its interval after Clopper and Pearson, and whether that holds what was said."""
+    """Return a share with its Clopper-Pearson interval, and whether it contains the prediction."""
     low, high = binomtest(int(right.sum()), len(right)).proportion_ci()
     outside = "" if low <= said <= high else "  outside"
     share = f"{right.sum()} of {len(right)}"

@@ -1,4 +1,4 @@
-"""The data of a case: what a method is given, also as a problem of cluster_est, and its truth."""
+"""The data of a case: the input of a method, also as a problem of cluster_est, and the truth."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from cluster_est.problem.held_out import HELD_OUT_SUFFIX
 from workers.messages import Experiment as MeasuredRun
 
 PLACES = 8
-"""Of an interval between two samples, at which a sample with jitter may be."""
+"""Possible positions of a sample with jitter in an interval between two samples."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a logger samples the runs of a case.
+    """Sampling of the runs of a case.
 
     Attributes
     ----------
     rate
-        Samples for each of the system's own. Noise is larger by its root, so that all samples
-        together say as much.
+        Number of samples for each of the system's own. The noise is multiplied by its root, so that
+        the information of all samples together is the same.
     jitter
-        Largest error of a sample's time, over the interval.
+        Largest error of a sample's time, relative to the interval.
     """
 
     rate: int = 1
@@ -39,11 +39,11 @@ class Sampling:
 
     @property
     def pieces(self) -> int:
-        """Intervals of a simulation in one of the system's own."""
+        """Number of simulation intervals in one of the system's own."""
         return self.rate * (PLACES if self.jitter > 0.0 else 1)
 
     def finer(self, system: System) -> System:
-        """Return a system that is sampled at all places where a sample may be."""
+        """Return a system that is sampled at all possible positions of samples."""
         return replace(
             system,
             interval=system.interval / self.pieces,
@@ -52,7 +52,7 @@ class Sampling:
         )
 
     def chosen(self, fine: System, random: np.random.Generator) -> Array:
-        """Return which of these are the samples."""
+        """Return the positions of the samples."""
         every = self.pieces // self.rate
         at = np.arange(0, fine.samples, every)
         off = np.rint(every * self.jitter * random.uniform(-1.0, 1.0, len(at))).astype(int)
@@ -68,19 +68,19 @@ class Sampling:
 
 
 OWN = Sampling()
-"""As the system is."""
+"""The system's own sampling."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run as a method is given it, and its truth.
+    """One run with the data for a method, and its truth.
 
     Attributes
     ----------
     waveform, role
-        What drives it, and whether it is for training or held out.
+        Its excitation, and whether it is for training or held out.
     inputs, signals : (driven, inputs), (driven, signals)
-        Linear between the samples; the signals are measured, but the FMU has no input for them.
+        Linear between the samples; the signals are measured but not inputs of the FMU.
     outputs : (samples, outputs)
         With noise.
     starts
@@ -106,17 +106,17 @@ class Data:
     Attributes
     ----------
     scenario, system
-        The case; not for the method but for the system's FMU, interface and names.
+        The case. The method may know only the system's FMU, interface and names.
     times : (samples,)
-        In seconds, of outputs.
+        Times of outputs in seconds.
     driven : (driven,)
-        Of inputs and signals.
+        Times of inputs and signals.
     experiments
         Training runs first.
     sigma : (outputs,)
         Standard deviation of each output's noise.
     start_parameters
-        Where an estimation begins.
+        Start values of an estimation.
     true_parameters
         Not for the method.
     """
@@ -139,9 +139,9 @@ def make(scenario: Scenario, sampling: Sampling = OWN, system: System | None = N
     scenario
         The case.
     sampling
-        Of its outputs, in the same course of all that drives it.
+        Sampling of its outputs; the excitation does not depend on it.
     system
-        With other runs than the benchmark's.
+        A system with other runs than the benchmark's.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def make(scenario: Scenario, sampling: Sampling = OWN, system: System | None = N
         The same for the same scenario and sampling.
     """
     system = system or SYSTEMS[scenario.system]
-    # Streams apart: no part changes when another draws more numbers.
+    # Separate streams, so that no part depends on the numbers drawn by another.
     excited, pushed, measured, guessed, jittered = np.random.default_rng(scenario.seed).spawn(5)
     runs = system.excitation(system.times, excited)
     pushes = []
@@ -197,7 +197,7 @@ def make(scenario: Scenario, sampling: Sampling = OWN, system: System | None = N
 
 
 def draw_noise(shape: tuple[int, ...], noise: Noise, random: np.random.Generator) -> Array:
-    """Draw noise of unit variance, white or AR(1) in time, but for its outliers."""
+    """Draw noise of unit variance, apart from outliers, white or AR(1) in time."""
     wave, rho = random.normal(size=shape), noise.correlation
     for n in range(1, len(wave)):
         wave[n] = rho * wave[n - 1] + np.sqrt(1.0 - rho**2) * wave[n]
@@ -208,7 +208,7 @@ def draw_noise(shape: tuple[int, ...], noise: Noise, random: np.random.Generator
 
 
 def guess_starts(system: System, run: Run, random: np.random.Generator) -> dict[str, float]:
-    """Return the initial states, the unknown ones wrong by some percent."""
+    """Return the initial states, with errors of some percent in the unknown ones."""
     wrong = {
         state: run.starts[state] * (1.0 + system.start_error * random.uniform(-1.0, 1.0))
         for state in system.unknown_starts
@@ -218,7 +218,7 @@ def guess_starts(system: System, run: Run, random: np.random.Generator) -> dict[
 
 MODELS = Path(__file__).resolve().parents[2] / "configs" / "models"
 WIDTH = 4.0
-"""A parameter may be so many times as large as its start value, or as small."""
+"""Ratio of a parameter's bounds to its start value, upwards and downwards."""
 
 
 def make_problem(data: Data, archive: bytes | None = None) -> Problem:
@@ -229,7 +229,7 @@ def make_problem(data: Data, archive: bytes | None = None) -> Problem:
     data
         The data of a case.
     archive
-        The FMU; that of the example models without.
+        The FMU; by default that of the example models.
 
     Returns
     -------
@@ -251,18 +251,18 @@ def make_problem(data: Data, archive: bytes | None = None) -> Problem:
 
 
 def run_name(number: int, run: Experiment) -> str:
-    """What a run is called in the problem."""
+    """Return the name of a run in the problem."""
     return f"{number + 1} {run.waveform}"
 
 
 def run_of(data: Data, name: str) -> Experiment:
-    """Return the run of an experiment of the problem, also of a part that is held out."""
+    """Return the run of an experiment of the problem, or of its held-out part."""
     record = name.removesuffix(HELD_OUT_SUFFIX)
     return next(run for n, run in enumerate(data.experiments) if run_name(n, run) == record)
 
 
 def start_label(state: str, number: int, run: Experiment) -> str:
-    """What the unknown initial state of a run is called in an estimate."""
+    """Return the label of the unknown initial state of a run in an estimate."""
     return f"{state}_start[{run_name(number, run)}]"
 
 
@@ -283,7 +283,7 @@ def _parameter(name: str, start: float) -> Parameter:
 
 
 def _start(data: Data, state: str) -> Parameter:
-    """Return an unknown initial state: it has one start for all runs, and room for each guess."""
+    """Return an unknown initial state with one start for all runs, and bounds for each guess."""
     guesses = np.array([run.starts[state] for run in data.experiments])
     room = 0.5 * np.abs(guesses)
     return Parameter(

@@ -1,4 +1,4 @@
-"""Undeclared effects: what they are called, where they act, and their numbers (`effects.toml`)."""
+"""Undeclared effects: their names, sites and numbers (`effects.toml`)."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from closed_loop_benchmark.system import System
 
 WEAKER_WHEN_LARGER = {"saturation": -0.15, "rate_limit": -0.3}
-"""Forms whose first number is a limit: the power of the size that it is multiplied by."""
+"""Forms whose first number is a limit, with the power of the size by which it is multiplied."""
 
 
 class Name(NamedTuple):
-    """What a method should answer.
+    """The correct answer of a method.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Name(NamedTuple):
     site
         "der(STATE)", "input INPUT", "output OUTPUT", "parameter NAME" or "pair STATE,STATE".
     variable
-        What the form is a function of, if that is not the site itself. "a-b" is a difference.
+        Argument of the form, if it is not the site itself. "a-b" is a difference.
     """
 
     form: str
@@ -43,15 +43,15 @@ class Effect:
     form, site, variable
         See `Name`.
     numbers
-        Of the form; the first is its strength.
+        Numbers of the form; the first is its strength.
     second
         The other variable of a product.
     weights
-        For a pair: what the form is multiplied by in each of the two rates.
+        For a pair: factors of the form in the two rates.
     also
-        Other names for the very same model, besides those that `names` finds.
+        Other names of the same model, in addition to those of `names`.
     constants
-        Its coefficients in the library's form, by name, where they are given so.
+        Its coefficients in the library's form, by name, if given in this way.
     """
 
     label: str
@@ -71,12 +71,12 @@ class Effect:
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """The states, or the input, output or parameter, that the effect acts on."""
+        """The states, or the input, output or parameter, on which the effect acts."""
         inner = self.site[4:-1] if self.kind == "der" else self.site.split()[1]
         return tuple(inner.split(","))
 
     def scaled(self, size: float) -> Effect:
-        """Return the same effect, `size` times as strong."""
+        """Return the effect multiplied by `size`."""
         power = WEAKER_WHEN_LARGER.get(self.form, 1.0)
         first, *others = self.numbers
         return replace(self, numbers=(first * size**power, *others))
@@ -93,7 +93,7 @@ PLAIN_FORMS = {
     "hinge": "hinge",
     "sine": "sine",
 }
-"""A form at an input, and what it is called at the one rate that the input drives."""
+"""Forms at an input, and their names at the only rate that the input drives."""
 
 OWN_FORMS = {
     "gain": "linear",
@@ -102,17 +102,17 @@ OWN_FORMS = {
     "asymmetry": "hinge",
     "saturation": "end_stop",
 }
-"""The same for forms of an input's own value."""
+"""Forms of an input's own value, and their names at the only rate that the input drives."""
 
 SYNONYMS = [{"viscous", "linear"}, {"end_stop", "gap"}, {"gap", "joint"}]
-"""Forms at one site that are the same function, or are once a declared stiffness is refitted."""
+"""Forms at one site that are the same function, or the same after a refit of a stiffness."""
 
 
 def names(effect: Effect, system: System) -> tuple[Name, ...]:
     """Return the canonical name of an effect and its algebraic aliases.
 
-    These follow from the equations alone. Whether more candidates cannot be told apart on the
-    data at hand is to be found numerically.
+    The aliases follow from the equations alone. Candidates that are indistinguishable on the data
+    must be found numerically.
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ OUTSIDE = _read("outside")
 """Effects of forms that no library has, by system."""
 
 TEXTBOOK = _read("textbook")
-"""Effects that were taken from textbooks of physics, whatever a library has, by system."""
+"""Effects from textbooks of physics, in a library or not, by system."""
 
 PAIRS: dict[str, list[list[str]]] = FILE["pairs"]
 TRIPLES: dict[str, list[list[str]]] = FILE["triples"]
-"""Labels of two and of three that act at once, by system."""
+"""Labels of two and of three simultaneous effects, by system."""

@@ -1,8 +1,8 @@
-"""Loops on a case with some forms of the library alone: with the answer among them, or without it.
+"""Loops on a case with a subset of the library, with or without the forms of the answer.
 
-With the answer, more forms must not lead to a weaker result than fewer. Without it, the loop stands
-before something that it cannot name, as it often does on measured data: what it claims all the same
-is mostly wrong, and shows what a claim is worth.
+With the answer, more forms must not give a worse result than fewer. Without it, the loop meets an
+effect that it cannot name, as often on measured data. Its claims are then mostly wrong, which shows
+the value of a claim.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from closed_loop_benchmark.scoring import Score
 from workers.effects.forms import FORMS
 
 LIBRARY = tuple(dict.fromkeys(name for _, name in FORMS))
-"""Names of all forms; one may stand at several sites."""
+"""Names of all forms; a form may exist for several sites."""
 
 WORSE = 1.05
-"""Held-out error over that of the loop with fewer forms, above which a loop is worse."""
+"""Ratio of held-out errors above which a loop is worse than the loop with fewer forms."""
 
 
 @dataclass(frozen=True)
 class FormSubset:
-    """Forms to try on a case, drawn by its name and a number.
+    """Forms to try on a case, drawn by the case's name and a number.
 
     Attributes
     ----------
     sort
         "with": those of the answer, and half of the others. "lacking": all but those of one of the
-        effects that are missing.
+        missing effects.
     number
-        Of the draw.
+        Number of the draw.
     """
 
     sort: Literal["with", "lacking"]
@@ -61,13 +61,13 @@ class FormSubset:
 
 
 def _is_of(form: str, names: Iterable[Sequence[str]]) -> bool:
-    """Return whether the library's form is that of one of the names in the benchmark."""
+    """Return whether a form of the library belongs to one of the names in the benchmark."""
     called = {BENCHMARK_NAMES.get(form, form), form} | ({"end_stop"} if form == "gap" else set())
     return bool(called & {name[0] for name in names})
 
 
 def violations(runs: Mapping[str, Mapping[str, Score]]) -> tuple[str, int]:
-    """List the cases in which all forms led to less than some of them, and count them.
+    """Return the cases in which all forms gave a worse result than some, and their number.
 
     A right answer is lost, or the held-out error is larger by more than `WORSE`.
     """

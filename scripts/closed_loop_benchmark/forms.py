@@ -1,12 +1,12 @@
-"""What effects do: the laws of those that act while a system runs, and those on whole signals.
+"""Effects: laws that act while a system runs, and laws on complete signals.
 
 Every law at a rate or a parameter is a function of its numbers ``a``, the time, two variables ``v``
-and ``w``, and the memory ``z`` of those that have one. Friction switches at a sixth or less of the
-speed at which a smooth model of it would (a tanh as wide as 1 % of the speed's rms).
+and ``w``, and its memory ``z`` if it has one. The width of a friction switch is at most a sixth of
+that of a smooth model (a tanh with a width of 1 % of the speed's rms).
 
-Actuators act before the simulation and sensors after it. There a signal holds one column for each
-run, on a grid of constant step; every form is a function of its numbers ``a``, the times, the
-signal, and another signal ``v`` that it may depend on.
+Actuators act before the simulation and sensors after it. Their signals have one column for each
+run, on a grid of constant step. Every form is a function of its numbers ``a``, the times, the
+signal, and another signal ``v`` on which it may depend.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Memory = Callable[[Numbers, Value, Value], Value]
 
 
 def _beyond(v: Value, limit: float) -> Value:
-    """How far a variable is outside of plus or minus a limit."""
+    """Return the distance of a variable from the interval from -limit to limit."""
     return v - np.clip(v, -limit, limit)
 
 
@@ -34,25 +34,25 @@ def _signed_root(v: Value) -> Value:
 
 
 def _stribeck(a: Numbers, v: Value) -> Value:
-    """Level, sharpness, width of the peak and its height over the level."""
+    """Arguments: level, sharpness, width of the peak and its height over the level."""
     return a[0] * np.tanh(v / a[1]) * (1.0 + a[3] * np.exp(-((v / a[2]) ** 2)))
 
 
 def _two_levels(a: Numbers, v: Value) -> Value:
-    """Level forwards, sharpness, and the level backwards over that forwards."""
+    """Arguments: forward level, sharpness, and ratio of the backward to the forward level."""
     switch = np.tanh(v / a[1])
     return a[0] * np.where(v > 0.0, switch, a[2] * switch)
 
 
 def _bell(a: Numbers, v: Value) -> Value:
-    """Height, centre and width."""
+    """Arguments: height, centre and width."""
     return a[0] * np.exp(-(((v - a[1]) / a[2]) ** 2))
 
 
 def _haldane(a: Numbers, v: Value) -> Value:
-    """What inhibition by the substrate takes from growth after Monod.
+    """Reduction of Monod growth by substrate inhibition.
 
-    The share of it that acts, the half-saturation constant, the constant of inhibition.
+    Arguments: its active share, the half-saturation constant, the constant of inhibition.
     """
     plain = a[1] + v
     return a[0] * (plain / (plain + v**2 / a[2]) - 1.0)
@@ -78,14 +78,14 @@ RATE_LAWS: dict[str, Law] = {
     "leak": lambda a, t, v, w, z: a[0] * _signed_root(v),
     "product": lambda a, t, v, w, z: a[0] * v * w,
     "lagged": lambda a, t, v, w, z: a[0] * z,
-    # What follows is in no library of forms.
+    # The following forms are in no library.
     "cogging": lambda a, t, v, w, z: a[0] * np.sin(a[1] * z),
     "placed_friction": lambda a, t, v, w, z: a[0] * np.tanh(v / a[1]) * (1.0 + np.sin(a[2] * w)),
     "magnet": lambda a, t, v, w, z: a[0] * v * np.exp(-((v / a[1]) ** 2)),
     "wave": lambda a, t, v, w, z: a[0] * np.sin(a[1] * v),
     "bristle": lambda a, t, v, w, z: a[0] * z * (1.0 + a[2] * np.exp(-((v / a[3]) ** 2))),
     "one_way": lambda a, t, v, w, z: a[0] * np.maximum(v, 0.0) * np.tanh(v / a[1]),
-    # What follows is from textbooks of physics.
+    # The following forms are from textbooks of physics.
     "power": lambda a, t, v, w, z: a[0] * np.sign(v) * np.abs(v) ** a[1],
     "contact": lambda a, t, v, w, z: a[0] * np.maximum(v - a[1], 0.0) ** 1.5,
     "saturating": lambda a, t, v, w, z: a[0] * v / (a[1] + v),
@@ -112,10 +112,10 @@ PARAMETER_LAWS: dict[str, Law] = {
     "magnitude": lambda a, t, v, w, z: a[0] * (np.abs(v) - a[1]),
     "square": lambda a, t, v, w, z: a[0] * (v**2 - a[1]),
     "heating": lambda a, t, v, w, z: a[0] * (z - a[2]),
-    # What follows is in no library of forms.
+    # The following forms are in no library.
     "wave": lambda a, t, v, w, z: a[0] * np.sin(a[1] * v),
     "switch": lambda a, t, v, w, z: a[0] * float(t > a[1]),
-    # What follows is from textbooks of physics.
+    # The following forms are from textbooks of physics.
     "periodic_time": lambda a, t, v, w, z: a[0] * np.sin(2.0 * np.pi * a[1] * t + a[2]),
     "saturating": lambda a, t, v, w, z: a[0] * v / (a[1] + v),
     "saturating_square": lambda a, t, v, w, z: a[0] * v**2 / (a[1] ** 2 + v**2),
@@ -123,14 +123,14 @@ PARAMETER_LAWS: dict[str, Law] = {
     "bell": lambda a, t, v, w, z: _bell(a, v),
     "haldane": lambda a, t, v, w, z: _haldane(a, v),
 }
-"""Relative changes of a parameter, about the point where it has its true value."""
+"""Relative changes of a parameter, about the point at which it has its true value."""
 
 
 Form = Callable[[Numbers, Array, Array, Array], Array]
 
 
 def lag(time: Array, signal: Array, constant: float, start: Array | None = None) -> Array:
-    """Return a signal behind a first-order lag, exact for straight lines between the samples."""
+    """Return a signal after a first-order lag, exact for linear interpolation."""
     step = time[1] - time[0]
     keep, out = np.exp(-step / constant), np.empty_like(signal)
     out[0] = signal[0] if start is None else start
@@ -141,13 +141,13 @@ def lag(time: Array, signal: Array, constant: float, start: Array | None = None)
 
 
 def delay(time: Array, signal: Array, seconds: float) -> Array:
-    """Return a signal as it was some seconds ago; before the start it was as at the start."""
+    """Return a delayed signal; before the start, it is constant."""
     columns = [np.interp(time - seconds, time, column) for column in signal.T]
     return np.column_stack(columns)
 
 
 def backlash(signal: Array, half_width: float) -> Array:
-    """Return a signal behind a play that it has to cross when it turns."""
+    """Return a signal after a backlash."""
     out = np.empty_like(signal)
     out[0] = signal[0]
     for n in range(1, len(signal)):
@@ -156,7 +156,7 @@ def backlash(signal: Array, half_width: float) -> Array:
 
 
 def rate_limit(time: Array, signal: Array, fastest: float) -> Array:
-    """Return a signal that follows no faster than a rate."""
+    """Return a signal with a limited rate of change."""
     most, out = fastest * (time[1] - time[0]), np.empty_like(signal)
     out[0] = signal[0]
     for n in range(1, len(signal)):
@@ -174,10 +174,10 @@ def hysteresis(time: Array, signal: Array, width: float) -> Array:
 
 
 def mode(time: Array, signal: Array, frequency: float, damping: float) -> Array:
-    """Return a signal behind an oscillator with two states, at rest at the first value.
+    """Return a signal after an oscillator with two states, at rest at the first value.
 
-    Exact for straight lines between the samples: on those, the oscillator settles to a straight
-    line, and what is left of its state rotates and decays.
+    It is exact for linear interpolation: the oscillator then has a linear particular solution, and
+    the rest of its state rotates and decays.
     """
     rate, step = 2.0 * np.pi * frequency, time[1] - time[0]
     system = np.array([[0.0, 1.0], [-(rate**2), -2.0 * damping * rate]])
@@ -188,7 +188,7 @@ def mode(time: Array, signal: Array, frequency: float, damping: float) -> Array:
     before = np.zeros(signal.shape[1])
     for n, slope in enumerate(slopes):
         out[n] = signal[n] - late * before + left[0]
-        # the line to settle to changes: y = u - late u', y' = u'
+        # the particular solution changes: y = u - late u', y' = u'
         left = left - np.stack([late * (before - slope), slope - before])
         left = keep @ left
         before = slope
@@ -201,7 +201,7 @@ def _sine(a: Numbers, time: Array) -> Array:
 
 
 def _hold(time: Array, signal: Array, seconds: float) -> Array:
-    """Return a signal that is renewed now and then only."""
+    """Return a signal that is updated only at intervals."""
     step = time[1] - time[0]
     every = max(1, round(seconds / step))
     return np.asarray(signal[(np.arange(len(signal)) // every) * every])
@@ -223,7 +223,7 @@ INPUT_FORMS: dict[str, Form] = {
     "quantisation": lambda a, t, u, v: a[0] * np.round(u / a[0]),
     "sample_hold": lambda a, t, u, v: _hold(t, u, a[0]),
     "ripple": lambda a, t, u, v: u * (1.0 + _sine(a, t)),
-    # What follows is from textbooks of physics.
+    # The following forms are from textbooks of physics.
     "mode": lambda a, t, u, v: mode(t, u, a[1] / a[0], a[2]),
     "power": lambda a, t, u, v: u * np.abs(u / a[1]) ** a[0],
 }
@@ -251,7 +251,7 @@ OUTPUT_FORMS: dict[str, Form] = {
             for share, longer in ((0.5, 1.0), (0.75, 5.0), (1.0, 20.0))
         )
     ),
-    # What follows is from textbooks of physics.
+    # The following forms are from textbooks of physics.
     "cubic": lambda a, t, y, v: y + a[0] * y**3,
     "saturating": lambda a, t, y, v: y / (1.0 + a[0] * y),
     "mode": lambda a, t, y, v: mode(t, y, a[1] / a[0], a[2]),

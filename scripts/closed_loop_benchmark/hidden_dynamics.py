@@ -4,9 +4,9 @@
 
     problem, data = hidden_problem(hidden_cases()[0])
 
-Sixty cases with an effect each, and three hundred with nothing that could be found: clean, in
-coloured noise, and under a push that nobody measures. Their systems are in no other kind. Half of
-the cases are open: of each class every other by its seed, the first open. The others are held back,
+Sixty cases have one effect. Three hundred have nothing to find: clean ones, ones in coloured noise,
+and ones with an unmeasured disturbance. Their systems occur in no other kind. Half of the cases are
+open: every other case of each class by its seed, starting with the first. The others are held back,
 and no threshold may be tuned on them.
 """
 
@@ -38,7 +38,7 @@ CLASSES: dict[str, list[str]] = FILE["classes"]
 NOISES = tuple(Noise(share) for share in (0.005, 0.01, 0.02, 0.03))
 SHAPES: tuple[Literal["kicks", "gusts", "presence"], ...] = ("kicks", "gusts", "presence")
 EACH = 100
-"""Cases that are clean, in coloured noise and disturbed."""
+"""Number of cases that are clean, in coloured noise and disturbed."""
 HIDDEN: Kind = "hidden dynamics"
 WITHOUT: Kind = "nothing hidden"
 KINDS = (HIDDEN, WITHOUT)
@@ -89,7 +89,7 @@ def _scenario(
 
 
 def _divided(cases: Sequence[Scenario]) -> list[Scenario]:
-    """Hold back half of each class, every other by seed."""
+    """Hold back every other case of each class, by seed."""
     places: dict[str, int] = {}
     splits: dict[str, Split] = {}
     for case in sorted(cases, key=lambda case: case.seed):
@@ -101,7 +101,7 @@ def _divided(cases: Sequence[Scenario]) -> list[Scenario]:
 
 READ = tuple(_read())
 TRUTHS = {case.name: hidden for case, hidden in READ}
-"""What each system truly has, by the name of the case."""
+"""The hidden dynamics of each case, by name."""
 
 
 def cases_of(kind: Kind) -> list[Scenario]:
@@ -115,7 +115,7 @@ def hidden_cases() -> list[Scenario]:
 
 
 def cases_with_nothing_hidden() -> list[Scenario]:
-    """Return the cases in which there is nothing to find, of all systems by turns."""
+    """Return the cases with nothing to find, alternating between systems."""
     systems, cases = [*HIDDEN_SYSTEMS], []
     for number in range(EACH):
         system = systems[number % len(systems)]
@@ -132,7 +132,7 @@ def cases_with_nothing_hidden() -> list[Scenario]:
 
 
 def hidden_problem(case: Scenario) -> tuple[Problem, Data]:
-    """Return the problem that a method is given, and the data behind it."""
+    """Return the problem that a method is given, and its data."""
     data = hidden_data(case)
     return make_problem(data, archive(case.system)), data
 
@@ -143,11 +143,11 @@ def hidden_data(case: Scenario, samples: int | None = None, share: float = 1.0) 
     Parameters
     ----------
     case
-        Of one of the two kinds.
+        A case of one of the two kinds.
     samples
-        So many alone; all without.
+        Number of samples; all by default.
     share
-        How much of the effect acts.
+        Share of the effect that acts.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def hidden_data(case: Scenario, samples: int | None = None, share: float = 1.0) 
 
 
 def hidden_table(scores: Sequence[Score]) -> str:
-    """Write how many of the cases are right in place, in kind and in numbers, by class."""
+    """Return a table of the cases that are right in place, in kind and in numbers, by class."""
     rows = []
     for kind in KINDS:
         own = f.kinds(scores, kind)

@@ -1,11 +1,11 @@
-"""Systems of the cases of hidden dynamics: equations as text, which make the FMU and the truth.
+"""Systems of the cases of hidden dynamics: equations as text, for both the FMU and the truth.
 
     from closed_loop_benchmark.hidden_systems import HIDDEN_SYSTEMS, archive
 
     oven = HIDDEN_SYSTEMS["oven"]
     fmu = archive("oven")
 
-No FMU of theirs is kept: it is built by the system's compiler where it is needed.
+Their FMUs are not stored; the system's compiler builds them when needed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from closed_loop_benchmark.system import Array, Equations, Excitation, Role, Run
 FILE = tomllib.loads(Path(__file__).with_name("hidden_systems.toml").read_text(encoding="utf-8"))
 UNITS: dict[str, dict[str, Any]] = FILE.pop("units")
 PUSHES: dict[str, tuple[str, float]] = {name: tuple(given["push"]) for name, given in FILE.items()}
-"""The state that a disturbance acts on, by system, and its size in units of the rate."""
+"""The disturbed state by system, and the size of the disturbance in units of the rate."""
 
 WAVES: tuple[tuple[str, Role], ...] = (
     ("held steps", "train"),
@@ -53,7 +53,7 @@ def drive(waveform: str, time: Array, random: np.random.Generator, hold: float) 
 
 
 def excitation(given: Mapping[str, Any]) -> Excitation:
-    """Return what makes the runs of a system."""
+    """Return the function that makes the runs of a system."""
     inputs, states = [*given["inputs"].values()], given["states"]
 
     def runs(time: Array, random: np.random.Generator) -> list[Run]:
@@ -89,7 +89,7 @@ def equations(given: Mapping[str, Any], texts: list[str]) -> Equations:
 def _system(name: str, given: Mapping[str, Any]) -> System:
     return System(
         name=name,
-        split="tune",  # each case has a split of its own
+        split="tune",  # each case has its own split
         states=tuple(given["states"]),
         inputs=tuple(given["inputs"]),
         outputs=tuple(given["outputs"]),
@@ -126,7 +126,7 @@ def archive(name: str) -> bytes:
 
 
 def _c_source(given: Mapping[str, Any]) -> str:
-    """Write the equations in C, each variable by the macro of the scaffold."""
+    """Return the equations in C, with each variable by its macro."""
     left = {f"der_{state}": text for state, text in given["rates"].items()}
     left |= {output: text for output, (_, text) in given["outputs"].items()}
     lines = [f"    M({name}) = {_in_c(text)};" for name, text in left.items()]
@@ -140,7 +140,7 @@ def _in_c(text: str) -> str:
 
 
 def _description(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what `model.toml` says of an example."""
+    """Return the contents of `model.toml` for an example."""
     units, variables = {"s": UNITS["s"]}, []
     for section in ("parameters", "constants"):
         variables += [

@@ -1,9 +1,8 @@
-"""What a system with hidden dynamics truly does, by SciPy from equations as text.
+"""True behaviour of a system with hidden dynamics, by SciPy from equations as text.
 
-Nothing here knows the library's forms. The whole true system, with the states that the declared
-model lacks, is integrated from one sample to the next, all runs at once; a value as it was some
-time ago is read from the dense output of the steps before, and before the start it is as at the
-start.
+This module does not use the library's forms. The complete true system, with the states that the
+declared model lacks, is integrated from one sample to the next, for all runs at once. Delayed
+values are read from the dense output of earlier steps; before the start, they are constant.
 """
 
 from __future__ import annotations
@@ -31,21 +30,21 @@ Texts = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Hidden:
-    """What a true system has beyond the declared model, as equations.
+    """Additional parts of a true system, as equations.
 
     Attributes
     ----------
     numbers
         Values of names in the equations.
     states
-        Further states: a rate, and a start that is an equation or the ends of what is drawn for
-        each run.
+        Additional states: a rate, and a start that is an equation or an interval from which it is
+        drawn for each run.
     late
-        Names of values as they were some time ago: an equation of the declared model, and how long.
+        Names of delayed values: an equation of the declared model, and the delay.
     rates
         Terms that are added to rates of the declared states.
     inputs, parameters, outputs
-        What takes the place of these.
+        Replacements of these.
     """
 
     numbers: Mapping[str, float] = field(default_factory=dict)
@@ -76,13 +75,13 @@ def follow(
     system, runs
         The declared system, inputs and true initial states.
     hidden
-        What it has in addition.
+        Its additional parts.
     share
-        How much of that acts: with 0 the declared model is left.
+        Share of these that acts; with 0, the declared model remains.
     push
-        A state, and (samples, runs) of what is added to its rate, linear between samples.
+        A state, and a disturbance of its rate, (samples, runs), linear between samples.
     seed
-        Of starts that are drawn.
+        Seed of random starts.
 
     Returns
     -------
@@ -100,7 +99,7 @@ def follow(
 
 
 class _Course:
-    """All runs of a system on their way."""
+    """The integration of all runs of a system."""
 
     def __init__(
         self,
@@ -122,7 +121,7 @@ class _Course:
         self.steps: list[Any] = []
 
     def begin(self, random: np.random.Generator) -> Array:
-        """Return all states at the start: (states, runs)."""
+        """Return all states at the start, (states, runs)."""
         known = self.declared(0.0, self.start)
         count, rows = self.start.shape[1], [*self.start]
         for _, start in self.hidden.states.values():
@@ -166,7 +165,7 @@ class _Course:
         return np.array([np.broadcast_to(row, x.shape[1]) for row in rows])
 
     def outputs(self, time: float, x: Array) -> Array:
-        """Return what the sensors show: (outputs, runs)."""
+        """Return the values of the sensors, (outputs, runs)."""
         known = self.complete(time, x)
         shown = {
             output: self.mixed(known[output], self.hidden.outputs.get(output), known)
@@ -188,7 +187,7 @@ class _Course:
         return known
 
     def mixed(self, plain: Any, text: str | None, known: Mapping[str, Any]) -> Any:
-        """Return what takes the place of a value, in its share."""
+        """Return the mixture of a value and its replacement, according to the share."""
         if text is None:
             return plain
         return plain + self.share * (_evaluate(text, known) - plain)
@@ -209,7 +208,7 @@ class _Course:
         return np.asarray(self.steps[n](time).reshape(self.first.shape))
 
     def between(self, samples: Array, time: float, n: int | None) -> Array:
-        """Return what is linear between samples, within the step from sample n."""
+        """Return linear interpolation between samples, within the step from sample n."""
         place = time / self.system.interval
         n = min(int(place), len(samples) - 2) if n is None else n
         return np.asarray(samples[n] + (place - n) * (samples[n + 1] - samples[n]))

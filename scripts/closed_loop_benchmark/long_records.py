@@ -1,11 +1,11 @@
-"""A case of long records: a motor with an elastic belt and a load, as a logger writes it.
+"""A case of long records: a motor with an elastic belt and a load, recorded by a logger.
 
     from closed_loop_benchmark.long_records import motor
 
     problem, truth = motor(rows=20_000, records=6)
 
-Each record is at 1 kHz, whatever the time constants of the drive are. Dry friction at the load is
-missing in the model.
+Each record is sampled at 1 kHz, whatever the time constants of the drive are. The model lacks dry
+friction at the load.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from closed_loop_benchmark.truth import simulate
 from cluster_est import Problem
 
 RATE = 1000.0
-"""Rows a second."""
+"""Rows per second."""
 FRICTION = Effect("dry friction", "coulomb", "der(w_load)", (-6.0, 0.05), "w_load")
 KNOWN = {"L": 6e-3}
-"""The inductance, which is known: the data sheet of a motor has it."""
+"""The inductance, which is known from the data sheet of the motor."""
 PARAMETERS = {
     "R": 1.1,
     "K": 0.055,
@@ -45,7 +45,7 @@ DC_MOTOR_BELT = SYSTEMS["dc_motor_belt"]
 
 
 def motor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """The drive, its inductance behind the unknowns."""
+    """Rates of the drive; the known inductance comes after the unknown parameters."""
     return belt_rates(x, u, [p[0], p[8], *p[1:8]])
 
 
@@ -65,7 +65,7 @@ def motor_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 
 def motor_system(rows: int, unknown_starts: tuple[str, ...] = ()) -> System:
-    """Return the drive with records of so many rows."""
+    """Return the drive with records of `rows` rows."""
     return replace(
         DC_MOTOR_BELT,
         parameters=PARAMETERS,
@@ -84,18 +84,18 @@ def motor_system(rows: int, unknown_starts: tuple[str, ...] = ()) -> System:
 def motor(
     rows: int, records: int = 6, *, seed: int = 1, unknown_starts: tuple[str, ...] = ()
 ) -> tuple[Problem, float]:
-    """Return the problem, and the true strength of the dry friction that the model lacks.
+    """Return the problem, and the true strength of the missing dry friction.
 
     Parameters
     ----------
     rows
-        Of each record.
+        Number of rows of each record.
     records
-        Their number, at most six, of which the last two are held out.
+        Number of records, at most six, of which the last two are held out.
     seed
-        Starts every random generator.
+        Seed of all random generators.
     unknown_starts
-        States whose initial values are unknown, other than zero.
+        States with unknown initial values other than zero.
     """
     system = motor_system(rows, unknown_starts)
     excited, measured, guessed = np.random.default_rng(seed).spawn(3)

@@ -47,7 +47,7 @@ def pendulum_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 
 def car_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """Newton's law for body and wheel; `lift` is what the suspension does to the body."""
+    """Newton's law for body and wheel; `lift` is the force of the suspension on the body."""
     body, body_speed, wheel, wheel_speed = x
     wheel_mass, spring, damper, tyre, body_mass = p
     lift = spring * (wheel - body) + damper * (wheel_speed - body_speed)
@@ -61,7 +61,7 @@ def car_readings(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
 
 
 def car_runs(time: Array, random: np.random.Generator) -> list[Run]:
-    """Drive over roads with bumps of centimetres, up to the wheel's hop at 10 Hz."""
+    """Drive over bumps of some centimetres, up to the wheel resonance at 10 Hz."""
     rest = dict.fromkeys(("z_body", "v_body", "z_wheel", "v_wheel"), 0.0)
     return [
         make_run("multisine", "train", [0.03 * wave.multisine(time, random, 0.4, 8.0, 20)], rest),
@@ -97,7 +97,7 @@ def motor_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 
 def belt_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
-    """Motor and load, each pulling at the belt."""
+    """Rates of motor and load, which are coupled by the belt."""
     current, motor, twist, load = x
     voltage, brake = u
     resistance, inductance, constant, rotor, rotor_friction, spring, damper, mass, friction = p
@@ -111,7 +111,7 @@ def belt_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
 
 
 def belt_runs(time: Array, random: np.random.Generator) -> list[Run]:
-    """Drive and brake at once."""
+    """Drive and brake at the same time."""
     rest = dict.fromkeys(("i", "w_motor", "twist", "w_load"), 0.0)
     brake = 0.08 * wave.held(time, random, 0.25)
     stir = 0.05 * wave.multisine(time, random, 0.5, 15.0)
@@ -179,7 +179,7 @@ def crane_runs(time: Array, random: np.random.Generator) -> list[Run]:
     rest = dict.fromkeys(("x", "v", "phi", "w"), 0.0)
 
     def run(waveform: str, role: Role, force: Array, angle: float = 0.0) -> Run:
-        # without a mean, or the trolley would leave the rail
+        # without a mean, so that the trolley stays on the rail
         return make_run(waveform, role, [force - force.mean()], {**rest, "phi": angle})
 
     return [

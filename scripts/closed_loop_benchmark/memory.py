@@ -1,11 +1,11 @@
-"""An executor that answers from memory what it has simulated before, for many loops on one case.
+"""An executor with a cache of outcomes, for several loops on one case.
 
     with remembering("name of the case") as resources:
         result = close_loop(problem, resources)
 
-A loop without one of its parts asks mostly for what the whole one has simulated. A simulation's
-outcome follows from the bits of what is asked, so the loop's result is the same, and it counts its
-simulations as ever; only its seconds mean nothing.
+A loop without one of its parts mostly needs simulations of the complete loop. The outcome of a
+simulation is a function of its task. So the loop's result and its number of simulations are the
+same; only its duration has no meaning.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from workers.wire import TaskBatch
 
 @dataclass
 class OutcomeMemory:
-    """Outcomes by all that they depend on; what was used longest ago goes first.
+    """A cache of outcomes; the least recently used outcomes are removed first.
 
     Attributes
     ----------
     most
-        Bytes of arrays that are kept.
+        Largest number of bytes of arrays.
     held
-        Bytes that are kept now.
+        Current number of bytes.
     asked, simulated
-        How many outcomes were asked for, and how many of those were not known.
+        Numbers of requested outcomes, and of those that were not in the cache.
     case
-        What the loops are about.
+        The case of the loops.
     """
 
     most: int
@@ -54,7 +54,7 @@ class OutcomeMemory:
     _outcomes: OrderedDict[str, Outcome] = field(default_factory=OrderedDict, repr=False)
 
     def get(self, key: str) -> Outcome | None:
-        """Return what is known."""
+        """Return an outcome, or None."""
         self.asked += 1
         known = self._outcomes.get(key)
         if known is None:
@@ -64,7 +64,7 @@ class OutcomeMemory:
         return known
 
     def keep(self, key: str, outcome: Outcome) -> None:
-        """Keep an outcome, whose arrays must not be changed from now on."""
+        """Store an outcome, whose arrays must not be changed any more."""
         if key in self._outcomes:
             return
         self._outcomes[key] = outcome
@@ -74,18 +74,18 @@ class OutcomeMemory:
             self.held -= _frozen_bytes(oldest)
 
     def begin(self, case: str) -> None:
-        """Let all go that is about another case."""
+        """Remove the outcomes of other cases."""
         if case != self.case:
             self._outcomes.clear()
             self.case, self.held = case, 0
 
 
 KNOWN = OutcomeMemory(most=2 * 2**30)
-"""Of this process, for all executors of all loops on a case."""
+"""The cache of this process, for all executors of all loops on a case."""
 
 
 def _frozen_bytes(given: Any) -> int:
-    """Return the bytes of all arrays in a message, which can be written to no more."""
+    """Make all arrays in a message read-only, and return their bytes."""
     if isinstance(given, np.ndarray):
         given.flags.writeable = False
         return given.nbytes
@@ -96,7 +96,7 @@ def _frozen_bytes(given: Any) -> int:
 
 @final
 class RememberingEvaluator:
-    """Stands before an evaluator, and asks it only for what is not known."""
+    """Wraps an evaluator, and calls it only for outcomes that are not in the cache."""
 
     def __init__(
         self, inner: AnyEvaluator, model: Model, experiments: Sequence[Experiment]
@@ -106,7 +106,7 @@ class RememberingEvaluator:
         self.free_instance, self.stop, self.close = inner.free_instance, inner.stop, inner.close
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
-        """Answer a batch, in its order."""
+        """Answer a batch in its order."""
         tasks = batch.tasks()
         keys = [self._key(task) for task in tasks]
         known = [KNOWN.get(key) for key in keys]
@@ -120,7 +120,7 @@ class RememberingEvaluator:
         return answers
 
     def once(self, task: Task) -> Outcome:
-        """Answer one task by a simulation: whoever asks so compares it with another one."""
+        """Answer one task by a simulation, because it is compared with an earlier one."""
         return self._inner.once(task)
 
     def _key(self, task: Task) -> str:
@@ -130,7 +130,7 @@ class RememberingEvaluator:
 
 
 class RememberingExecutor(ThreadPool):
-    """One evaluator in this process, with the memory before it."""
+    """One evaluator in this process, with the cache."""
 
     name: ClassVar[str] = "remembering"
     in_process: ClassVar[bool] = True
@@ -152,9 +152,10 @@ class RememberingExecutor(ThreadPool):
 
 @contextmanager
 def remembering(case: str) -> Iterator[Resources]:
-    """Give one worker in this process, with the memory of a case; that of another one goes.
+    """Yield resources with one worker in this process and the cache of a case.
 
-    Its executor has a name while the context lasts.
+    The name of its executor is defined while the context lasts. Outcomes of other cases are
+    removed.
     """
     KNOWN.begin(case)
     where = f"{__name__}:{RememberingExecutor.__name__}"

@@ -1,4 +1,4 @@
-"""Names of effects, written in one way, and what a method has named beside what is missing."""
+"""Normal form of names of effects, and comparison of named effects with missing ones."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ BENCHMARK_NAMES = {
     "periodic_travel": "cogging",
     "load_dependent_coulomb": "pressed_friction",
 }
-"""Forms of the library that the benchmark calls otherwise; a gap at a single rate is one more."""
+"""Forms of the library with other names in the benchmark; a gap at a single rate is another one."""
 
 
 @dataclass(frozen=True)
 class Match:
-    """How well a true effect has been named.
+    """How well a true effect was named.
 
     Attributes
     ----------
@@ -30,12 +30,12 @@ class Match:
     form_and_site
         By its canonical name, whatever the variable.
     tied, plausible
-        Whether a right name is among what cannot be told apart from what was named: by 2 units of
-        the information criterion, or by 10.
+        Whether a right name is indistinguishable from the named effect: within 2 units of the
+        information criterion, or within 10.
     site, any_site
         Whether something was named at its site; at the site of any of its names.
     place
-        Whether something was named at a site of its names, of the variable that it has there.
+        Whether something was named at a site of its names, with the variable that it has there.
     """
 
     exact: bool
@@ -49,7 +49,7 @@ class Match:
 
 
 def normal(form: str, site: str, variables: Sequence[str] = ()) -> Name:
-    """Write a name in one way: variables sorted, and left out where they are the site's own.
+    """Return a name in normal form: variables sorted, and omitted if they are the site's own.
 
     Parameters
     ----------
@@ -76,21 +76,21 @@ def normal(form: str, site: str, variables: Sequence[str] = ()) -> Name:
 def compare(
     accepted: Iterable[Name], named: Sequence[Name], alternatives: Sequence[tuple[Name, float]]
 ) -> Match:
-    """Compare a true effect with everything that was named.
+    """Compare a true effect with all named effects.
 
     Parameters
     ----------
     accepted
         Its canonical name, then its aliases.
     named
-        Normal names of what was added.
+        Normal names of the added effects.
     alternatives
-        Normal names of what cannot be told apart from it, and by how much they are worse.
+        Normal names of indistinguishable effects, and by how much they are worse.
 
     Returns
     -------
     Match
-        What is right about the names.
+        The comparison.
     """
     right = [normal(n.form, n.site, (n.variable,)) for n in accepted]
     first, everything = right[0], set(right)
@@ -113,7 +113,7 @@ def _difference(variable: str) -> str:
 
 
 def in_words(name: Name) -> str:
-    """Write a name for a table."""
+    """Return a name for a table."""
     return (
         f"{name.form}({name.variable}) at {name.site}"
         if name.variable
@@ -122,14 +122,14 @@ def in_words(name: Name) -> str:
 
 
 def label_in_words(label: str) -> str:
-    """Write the label of a candidate, "coulomb(w) at der(v)", as a name for a table."""
+    """Return the label of a candidate, "coulomb(w) at der(v)", as a name for a table."""
     called, _, site = label.partition(" at ")
     form, _, variables = called.removesuffix(")").partition("(")
     return in_words(normal(form, site, tuple(filter(None, variables.split(", ")))))
 
 
 def is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:
-    """Tell whether a set of effects is the true one, each by one of its accepted names."""
+    """Return whether a set of effects is the true set, each with one of its accepted names."""
     if len(named) != len(accepted):
         return False
     return any(

@@ -1,8 +1,8 @@
-"""The true structure in the library's forms, refitted: what a perfect method would reach.
+"""The true structure in the library's forms, refitted: the result of a perfect method.
 
-Only for scoring, where the truth may be looked at: the true numbers serve as starts. An effect
-whose form the library lacks, or that needs a variable that the FMU keeps to itself, has no oracle;
-its likelihood ratio is then that of the truth itself.
+It is used only for scoring, where the truth may be known; the true numbers serve as starts. An
+effect whose form the library lacks, or that needs a variable that the FMU does not expose, has no
+oracle. Its likelihood ratio is then that of the truth itself.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ LIBRARY_NAMES = {
     ("parameter", "saturating_square"): "hill",
     ("output", "saturation"): "clip_above",
 }
-"""Where the library calls a form otherwise than the benchmark."""
+"""Forms that have another name in the library than in the benchmark."""
 
 SCALES = {"limit", "tau", "width", "vs", "x0", "f", "n", "rate", "half"}
 """Coefficients that are positive and of unknown magnitude."""
 
 PLAYS = {"dead_zone", "backlash"}
-"""Forms whose strength is a width, so positive too."""
+"""Forms whose strength is a width, and therefore also positive."""
 
 
 def _same(a: Numbers) -> dict[str, float]:
@@ -57,12 +57,12 @@ def _taken(a: Numbers) -> dict[str, float]:
 
 
 def _wave(a: Numbers) -> dict[str, float]:
-    """Return the two parts of a sine with a phase, and its angular frequency."""
+    """Return the two coefficients of a sine with a phase, and its angular frequency."""
     return {**_two_parts(a[0], a[2]), "f": 2.0 * math.pi * a[1]}
 
 
 def _ripple(a: Numbers) -> dict[str, float]:
-    """Return the two parts of a wave in a state, with its phase if it has one, and its number."""
+    """Return the two coefficients of a wave in a state, and its wave number."""
     amplitude, number, phase = (*a, 0.0)[:3]
     return {**_two_parts(amplitude, phase), "n": number}
 
@@ -125,17 +125,17 @@ TRANSLATIONS = {"der": RATE, "pair": PAIR, "input": INPUT, "output": OUTPUT, "pa
 
 @dataclass(frozen=True)
 class Oracle:
-    """What the true structure reaches.
+    """Results of the true structure.
 
     Attributes
     ----------
     fit
-        Of the true structure; None where the library cannot express it.
+        Fit of the true structure; None if the library cannot express it.
     truth
         The truth itself, not refitted: its residuals are the noise.
     coefficients
-        How many of the true effects' coefficients are free in the library; the numbers of the
-        truth where there is no fit.
+        Number of the true effects' free coefficients in the library; without a fit, the numbers of
+        the truth.
     reason
         Why there is no fit.
     """
@@ -147,7 +147,7 @@ class Oracle:
 
     @property
     def best(self) -> Refit:
-        """The fit, or without a fit the truth itself."""
+        """The fit; without a fit, the truth itself."""
         return self.fit or self.truth
 
 
@@ -159,7 +159,7 @@ def ask(data: Data, problem: Problem) -> Oracle:
     data
         The case, with its truth.
     problem
-        What a method was given, less the samples that it has set aside; the effects are added.
+        The problem given to a method, without the samples that it has excluded; effects are added.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def ask(data: Data, problem: Problem) -> Oracle:
 
 
 def translate(effect: Effect, number: int) -> tuple[AddedEffect, dict[str, float]]:
-    """Write an effect in the library's form.
+    """Convert an effect to the library's form.
 
     Returns
     -------
@@ -224,7 +224,7 @@ def with_effects(problem: Problem, added: list[tuple[AddedEffect, dict[str, floa
 
 
 def count_free(effect: AddedEffect) -> int:
-    """Count the coefficients that are fitted, not held, where an effect is looked for."""
+    """Return the number of coefficients that are fitted and not held in a search for an effect."""
     return sum(not c.held for c in coefficients(effect, effect.name))
 
 
@@ -242,14 +242,14 @@ def _coefficient(effect: AddedEffect, name: str, value: float) -> Parameter:
     label = f"{effect.name}.{name}"
     if name in SCALES or effect.form in PLAYS:
         return Parameter(label, value, (value / 10.0, value * 10.0), "log")
-    # Where a varying parameter has its own value is a convention: it hides in the parameter.
+    # The reference point of a varying parameter is a convention, compensated by the parameter.
     convention = name == "at" and effect.site.startswith("parameter")
     reach = 20.0 * abs(value) or 1.0
     return Parameter(label, value, (value - reach, value + reach), fixed=convention)
 
 
 def _noise(data: Data, problem: Problem) -> Refit:
-    """Return how far the data that were kept are from the truth, which nobody can know better."""
+    """Return the distance of the used data from the truth."""
     squares: Mapping[str, list[float]] = {"train": [], "test": []}
     sizes = {"train": 0, "test": 0}
     for given in problem.experiments:
@@ -275,7 +275,7 @@ class Refit:
     sse
         Sum of squares over all training runs, in standard deviations of the noise.
     train, test
-        The same as root mean squares, on training and on held-out runs.
+        Root mean squares on training and on held-out runs.
     values
         Estimates by label.
     """
@@ -292,17 +292,17 @@ def refit(problem: Problem, starts: Mapping[str, float], held_out: bool = True) 
     Parameters
     ----------
     problem
-        With the effects of the structure.
+        The problem with the effects of the structure.
     starts
-        Where to start, by label; the parameter's own start where a label is missing.
+        Starts by label; without a label, the parameter's own start is used.
     held_out
-        Whether to follow the held-out runs too. What belongs to those alone, an unknown initial
-        state, is fitted to them.
+        Whether to simulate the held-out runs too. Their own unknowns, such as an unknown initial
+        state, are fitted to them.
 
     Returns
     -------
     Refit
-        NaN where a simulation failed.
+        NaN if a simulation failed.
     """
     training, others = problem.indices("train"), problem.indices("test")
     with open_executor(problem, Resources()) as executor:
@@ -318,7 +318,7 @@ def refit(problem: Problem, starts: Mapping[str, float], held_out: bool = True) 
 
 
 def _from(space: SearchSpace, starts: Mapping[str, float]) -> SearchSpace:
-    """Move the start of every unknown that has one given, into its bounds."""
+    """Set the given starts of unknowns, moved into their bounds."""
     unknowns = []
     for unknown in space.unknowns:
         low, high = unknown.parameter.lower, unknown.parameter.upper

@@ -1,9 +1,9 @@
-"""What each part of the search is good for: loops without it, compared case by case.
+"""Benefit of each part of the search: a comparison of loops with and without it, case by case.
 
-A loop is compared with the loop as it is on the same case. Whether it is right more or less often
-than by chance is asked by the exact test of Q. McNemar, Psychometrika 12 (1947) 153-157,
-doi:10.1007/BF02295996: of the cases in which one is right and the other is not, either should be
-right in half if the part did nothing for the names.
+A loop is compared with the complete loop on the same case. The exact test of Q. McNemar,
+Psychometrika 12 (1947) 153-157, doi:10.1007/BF02295996, tests whether it is right more or less
+often than by chance. Only cases in which exactly one of the two is right count. If the part has no
+influence on names, each of the two is right in half of these.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from closed_loop_benchmark.scoring import Score
 from closed_loop_benchmark.tables import markdown, rightness
 
 Runs = Mapping[str, Mapping[str, Score]]
-"""By what was left out, the scores by case; the loop as it is comes first."""
+"""Scores by omitted part and by case; the complete loop comes first."""
 
 Pair = tuple[Score, Score]
-"""A case in the loop as it is, and without a part."""
+"""A case with the complete loop, and without a part."""
 
 HEAD = (
     "left out",
@@ -69,9 +69,9 @@ data ("merge"; if they leave more than noise, this is still tried).
 
 
 def paired(runs: Runs) -> str:
-    """Write one line a part that was left out, over the cases that came to an end with it.
+    """Return a line for each omitted part, over the cases that it has finished.
 
-    The first run is the loop as it is; each other one is compared with it on the same cases.
+    The first run is the complete loop; each other run is compared with it on the same cases.
     """
     (_, whole), *others = runs.items()
     return markdown(HEAD, [_row(label, pairs_of(whole, own)) for label, own in others])
@@ -99,7 +99,7 @@ def _row(label: str, pairs: Sequence[Pair]) -> list[str]:
 
 
 def pairs_of(whole: Mapping[str, Score], without: Mapping[str, Score]) -> list[Pair]:
-    """Return the cases that came to an end both as they are and without a part."""
+    """Return the cases that were finished both completely and without a part."""
     return [
         (whole[name], own)
         for name, own in without.items()
@@ -108,7 +108,7 @@ def pairs_of(whole: Mapping[str, Score], without: Mapping[str, Score]) -> list[P
 
 
 def is_right(score: Score) -> bool:
-    """Tell whether what was said of a case is right; see the explanation of the page."""
+    """Return whether the result of a case is right; see the explanation on the page."""
     if f.worse(score):
         return False
     if not score.true:
@@ -122,28 +122,28 @@ def mcnemar(lost: int, won: int) -> float:
 
 
 def _acts(score: Score, label: str) -> bool:
-    """Tell whether the search came to one of the parts; it does where nobody looked."""
+    """Return whether the search used a part; True if this was not recorded."""
     return score.active is None or bool({*label.split("+")} & {*score.active})
 
 
 def _by_kind(scores: Iterable[Score]) -> str:
-    """Write how many, and of which kinds."""
+    """Return the number of cases, and their kinds."""
     kinds = Counter(score.kind for score in scores)
     said = ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
     return f"{kinds.total()} ({said})" if said else "0"
 
 
 def _false_names(score: Score) -> int:
-    """Count the effects that were named and are none of the true ones."""
+    """Return the number of named effects that are not true effects."""
     named = len(score.named or [])
     right = named if score.numerical else sum(score.alias or [])
     return max(named - right, 0)
 
 
 def parts_page(runs: Runs, deleted: Runs | None = None) -> str:
-    """Write the page: a row a part, and the cases that are right with or without one alone.
+    """Return the page: a row for each part, and the cases that are right only with or without it.
 
-    `deleted` are runs of a search that had other parts, which the package no longer has.
+    `deleted` are runs of a search with other parts, which the package no longer has.
     """
     (_, whole), *others = runs.items()
     kinds = Counter(score.kind for score in whole.values() if not score.error)
@@ -169,6 +169,6 @@ def parts_page(runs: Runs, deleted: Runs | None = None) -> str:
 
 
 def _said(score: Score) -> list[str]:
-    """Write what was said, how right it is, and the held-out error."""
+    """Return the named effects, how right they are, and the held-out error."""
     named = "; ".join(score.named or []) or score.verdict
     return [f"{rightness(score)}: {named}", f"{score.after:.2f}"]

@@ -1,12 +1,12 @@
-"""The cases of the benchmark: what is missing in each, in what noise, under what disturbance.
+"""The cases of the benchmark: the missing effects, noise and disturbances of each.
 
     from closed_loop_benchmark.data import make
     from closed_loop_benchmark.scenarios import all_scenarios
 
     data = make(all_scenarios()[0])
 
-A case is deterministic: its seed follows from its name. Disturbances are pushes that nobody
-measures: no function of inputs or states explains them.
+A case is deterministic: its seed follows from its name. Disturbances are unmeasured and are not
+functions of inputs or states.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Kind = Literal[
     "nothing hidden",
 ]
 SIZES = (0.05, 0.25, 1.0)
-"""The smallest leaves some effects close to the noise, or lost in it."""
+"""Sizes of effects; with the smallest size, some effects are close to the noise or below it."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class Noise:
     share
         Standard deviation, as a share of that of the output over all training runs.
     correlation
-        Between one sample and the next: 0 is white noise, else AR(1).
+        Correlation of consecutive samples: 0 for white noise, otherwise AR(1).
     outliers
-        Share of the samples that are off by 8 to 20 standard deviations more.
+        Share of samples with an additional error of 8 to 20 standard deviations.
     """
 
     share: float
@@ -84,28 +84,28 @@ class Scenario:
     Attributes
     ----------
     name
-        Unique.
+        Unique name.
     system
         Name of the system.
     kind
         "single" and "pair": effects that a library should have, in white noise. "coloured": one of
         those in AR(1) noise. "clean": nothing is missing, the noise white or not. "outside": an
-        effect that no library has. "textbook": one from a book of physics, whether a library has it
-        or not. "triple": three effects. "disturbance": a push that nothing measured explains.
-        "process noise": white noise on a rate, with an effect or without. "outliers": one sample in
-        a hundred is far off, with an effect or without. "single record": one effect, in one record
-        alone. "hidden dynamics" and "nothing hidden": see `closed_loop_benchmark.hidden_dynamics`.
+        effect that no library has. "textbook": an effect from a book of physics, in a library or
+        not. "triple": three effects. "disturbance": an unmeasured disturbance. "process noise":
+        white noise on a rate, with an effect or without. "outliers": one sample in a hundred is an
+        outlier, with an effect or without. "single record": one effect, in a single record. "hidden
+        dynamics" and "nothing hidden": see `closed_loop_benchmark.hidden_dynamics`.
     effects
-        What the FMU lacks, at its full size.
+        Effects that the FMU lacks, at full size.
     accepted
-        For each effect its canonical name and the names of the same model. For an effect outside
-        the library there is no right name: its entry is only what it is called here.
+        For each effect, its canonical name and the names of the same model. An effect outside the
+        library has no right name; its entry is only its name here.
     size
-        What the effects' strengths have been multiplied by.
+        Factor of the effects' strengths.
     noise, seed, split
         The noise, the random generator's seed, and whether methods may be tuned on the case.
     disturbance
-        What pushes, if anything does.
+        The disturbance, if there is one.
     """
 
     name: str
@@ -129,7 +129,7 @@ def scenario(
     size: float = 1.0,
     disturbance: Disturbance | None = None,
 ) -> Scenario:
-    """Make a case; its name and with it its seed follow from all else."""
+    """Return a case; its name, and with it its seed, follow from the arguments."""
     name = f"{system}/{kind}/{label}"
     scaled = tuple(effect.scaled(size) for effect in effects)
     accepted = tuple(names(effect, SYSTEMS[system]) for effect in scaled)
@@ -143,7 +143,7 @@ def one_each(
     noises: tuple[Noise, Noise] = WHITE,
     sizes: Iterable[float] = SIZES,
 ) -> list[Scenario]:
-    """One effect at a time, in several sizes and in either noise by turns."""
+    """Return cases with one effect each, in several sizes, alternating between kinds of noise."""
     return [
         scenario(system, kind, f"{effect.label} x{size}", noises[n % 2], [effect], size)
         for system, own in effects.items()
@@ -153,12 +153,12 @@ def one_each(
 
 
 def singles(sizes: Iterable[float] = SIZES) -> list[Scenario]:
-    """One effect in white noise, in several sizes."""
+    """Return cases with one effect in white noise, in several sizes."""
     return one_each("single", SINGLE, WHITE, sizes)
 
 
 def several(kind: Kind, labels: Mapping[str, list[list[str]]], ending: str = "") -> list[Scenario]:
-    """Two or three effects at once."""
+    """Return cases with two or three effects at once."""
     found = []
     for system, sets in labels.items():
         effects = {effect.label: effect for effect in listed(system)}
@@ -169,12 +169,12 @@ def several(kind: Kind, labels: Mapping[str, list[list[str]]], ending: str = "")
 
 
 def listed(system: str) -> tuple[Effect, ...]:
-    """Return all effects that have a right name or place, of a system."""
+    """Return all effects of a system that have a right name or place."""
     return (*SINGLE.get(system, ()), *TEXTBOOK.get(system, ()))
 
 
 def disturbed(repeats: int = 6) -> list[Scenario]:
-    """Strong pushes that nobody measures: each once, and those of some sorts again and again."""
+    """Return cases with strong unmeasured disturbances: each once, and some kinds repeatedly."""
     found = [
         scenario(system, "disturbance", one.label, WHITE[0], disturbance=one)
         for system, disturbances in DISTURBANCES.items()
@@ -189,7 +189,7 @@ def disturbed(repeats: int = 6) -> list[Scenario]:
 
 
 def noisy(repeats: int = 2) -> list[Scenario]:
-    """Noise that is not what the methods assume, with every fifth effect and without any."""
+    """Return cases with unexpected noise, with every fifth effect and without any effect."""
     found = []
     for system in SYSTEMS:
         process, outlying = PROCESS_NOISE[system], Noise(0.01, outliers=0.01)
@@ -207,7 +207,7 @@ def noisy(repeats: int = 2) -> list[Scenario]:
 
 
 def clean(repeats: int = 7) -> list[Scenario]:
-    """Return cases in which nothing is missing: so often in each kind of noise, for each system."""
+    """Return cases in which nothing is missing, repeated for each system and kind of noise."""
     return [
         scenario(system, "clean", f"{noise.share} {noise.correlation} {number}", noise)
         for system in SYSTEMS
@@ -217,7 +217,7 @@ def clean(repeats: int = 7) -> list[Scenario]:
 
 
 def all_scenarios() -> list[Scenario]:
-    """Return the whole benchmark."""
+    """Return the complete benchmark."""
     some = {system: effects[::4] for system, effects in SINGLE.items()}
     return [
         *singles(),
@@ -233,21 +233,21 @@ def all_scenarios() -> list[Scenario]:
 
 
 DRAWN: dict[Kind, int] = {"pair": 2, "triple": 3}
-"""Kinds of which further cases are drawn, and how many effects each has."""
+"""Kinds of which additional cases are drawn, and their numbers of effects."""
 
 
 def drawn(kind: Kind, each: int = 12) -> list[Scenario]:
-    """Further pairs or triples of the systems that may be tuned on, drawn by seed.
+    """Return additional pairs or triples of the systems for tuning, drawn by seed.
 
-    Any effects of a system that have a right name or place, each once, in no other case. Two that
-    have a name in common are one model, of which two names would be wrong: they are left out.
+    They are combinations of any effects of a system with a right name or place that occur in no
+    other case. Two effects with a common name are one model, so such combinations are omitted.
 
     Parameters
     ----------
     kind
         "pair" or "triple".
     each
-        How many of each system.
+        Number of cases of each system.
     """
     listed_ones = PAIRS if kind == "pair" else TRIPLES
     found = []
@@ -268,7 +268,7 @@ def drawn(kind: Kind, each: int = 12) -> list[Scenario]:
 
 
 def _told_apart(effects: Sequence[Effect], system: System) -> bool:
-    """Return whether no two effects have a name in common."""
+    """Return whether no two effects have a common name."""
     known = [set(names(effect, system)) for effect in effects]
     return not any(one & other for one, other in combinations(known, 2))
 
@@ -285,13 +285,13 @@ SHARES: dict[Kind, int] = {
     "process noise": 9,
     "outliers": 9,
 }
-"""Cases of each kind that parts of the search are tried on."""
+"""Number of cases of each kind for tests of parts of the search."""
 
 
 def ablation_cases() -> list[Scenario]:
-    """Return the cases that parts of the search are tried on, all of systems that may be tuned on.
+    """Return the cases for tests of parts of the search, all of systems for tuning.
 
-    The first of them, however many, are spread over all kinds and systems.
+    Any number of first cases is spread over all kinds and systems.
     """
     known = [case for case in all_scenarios() if case.split == "tune"]
     placed: list[tuple[float, Scenario]] = []
@@ -303,7 +303,7 @@ def ablation_cases() -> list[Scenario]:
 
 
 def by_turns(cases: Sequence[Scenario], first: int = 0) -> list[Scenario]:
-    """One case of each system after the other, those of a system by their seeds."""
+    """Return cases alternating between systems, and by seed within a system."""
     ordered, systems = sorted(cases, key=lambda case: case.seed), [*SYSTEMS]
     systems = systems[first:] + systems[:first]
     own = [[case for case in ordered if case.system == system] for system in systems]
@@ -312,18 +312,18 @@ def by_turns(cases: Sequence[Scenario], first: int = 0) -> list[Scenario]:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A random push on the rate of a state, another one in every run.
+    """A random disturbance of the rate of a state, different in every run.
 
     Attributes
     ----------
     label
         Short name, unique in a system.
     state
-        Its rate is pushed.
+        The state whose rate is disturbed.
     size
-        Of the push, in units of the rate.
+        Size of the disturbance, in units of the rate.
     shape
-        A few short "kicks", smooth "gusts", long stretches of "presence" and absence, or "white"
+        A few short "kicks", smooth "gusts", long intervals of "presence" and absence, or "white"
         noise, held for a sample.
     """
 
@@ -341,7 +341,7 @@ PROCESS_NOISE = {
     system: Disturbance("process", state, size, "white")
     for system, (state, size) in FILE["process_noise"].items()
 }
-"""A random walk in a state: some two or three times the noise of the sensors, at the outputs."""
+"""A random walk in a state: about two or three times the noise of the sensors, at the outputs."""
 
 
 def push(
@@ -365,12 +365,12 @@ def _kicks(time: Array, random: np.random.Generator) -> Array:
 
 
 def _gusts(time: Array, random: np.random.Generator) -> Array:
-    """Return smooth noise of about fifteen swings a run."""
+    """Return smooth noise with about fifteen oscillations in a run."""
     return waveforms.noise(time, random, 15.0 / time[-1])
 
 
 def _presence(time: Array, random: np.random.Generator) -> Array:
-    """Return about eight stretches of either one or zero."""
+    """Return about eight intervals of either one or zero."""
     return np.asarray(waveforms.binary(time, random, time[-1] / 8.0) > 0, dtype=float)
 
 

@@ -1,4 +1,4 @@
-"""Score what a closed loop says of a case against the truth: one record for each case."""
+"""Comparison of the result of a closed loop with the truth: one record for each case."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SAME_MODEL = 0.1
 """Two structures are the same model on the data if their outputs differ by less, in sigmas."""
 
 REFERENCES = {"at", "ref"}
-"""Coefficients that are a choice where an effect has a strength."""
+"""Coefficients that are a free choice if an effect has a strength."""
 STRENGTHS = {"k", "back"}
 
 REMARKABLE = (Verdict.FOUND, Verdict.PARTIAL, Verdict.UNEXPLAINED)
@@ -32,60 +32,60 @@ REMARKABLE = (Verdict.FOUND, Verdict.PARTIAL, Verdict.UNEXPLAINED)
 
 @dataclass(frozen=True)
 class Score:
-    """One case, scored. NaN where there is nothing to say; a list has an entry a true effect.
+    """One scored case. Missing values are NaN; a list has an entry for each true effect.
 
     Attributes
     ----------
     name, system, kind, split, size, correlation
         The case; `correlation` is that of its noise.
     true, named
-        Names, in words; each true effect by its canonical one.
+        Names, in words; each true effect by its canonical name.
     verdict, detected
-        What was said, and whether that something is missing.
+        The verdict, and whether it says that something is missing.
     exact, alias, form_and_site, tied, plausible, site, any_site, place
         See `closed_loop_benchmark.naming.Match`.
     numerical
-        Whether the structure as a whole is the same model on the data, whatever it is called: it
-        has no more effects than the truth, and refitted to the outputs without noise it misses
-        them by less than `SAME_MODEL`.
+        Whether the complete structure is the same model on the data, whatever its name: it has no
+        more effects than the truth, and refitted to the outputs without noise, its error is less
+        than `SAME_MODEL`.
     distance, distance_without
-        By how much it misses them, and by how much the declared model does: rms over the training
-        runs, in sigmas. Where the effect is weak, the second is hardly over `SAME_MODEL` itself.
+        Error of the structure, and of the declared model: rms over the training runs, in sigmas.
+        For a weak effect, the second is hardly above `SAME_MODEL`.
     coefficients, true_coefficients
-        Free coefficients of what was named, and of the true structure: with more of them one form
-        can hold another as a special case.
+        Numbers of free coefficients of the named and of the true structure. With more coefficients,
+        one form can include another as a special case.
     superfluous
-        Effects beyond one for each true one.
+        Effects beyond one for each true effect.
     likelihood_ratio
         Sum of squares of the declared model minus that of the true structure refitted.
     has_oracle
-        Whether the library can express the true structure; else the likelihood ratio and `oracle`
-        are those of the truth itself.
+        Whether the library can express the true structure; otherwise the likelihood ratio and
+        `oracle` are those of the truth itself.
     before, after, oracle, floor
-        Held-out error of the declared model, of the one that was found, of the true structure
-        refitted and of the truth: rms in sigmas.
+        Held-out error of the declared model, of the model found, of the true structure refitted and
+        of the truth: rms in sigmas.
     train_before, train_after
-        The same on the training runs, of the first two.
+        Training error of the first two.
     parameters_before, parameters_after
         Root mean square of the logarithmic error of the declared parameters.
     covered, intervals
-        How many 95 % intervals of coefficients hold the truth, of how many; see
+        Number of 95 % intervals of coefficients that contain the truth, and total number; see
         `coverage`.
     simulations, seconds, failures
-        What it took.
+        The cost.
     structures
-        Of every set of effects that was refitted, in the order of the rounds: names, in words;
-        criterion less that of the declared model; and whether it was refitted to convergence.
+        For every refitted set of effects, in the order of the rounds: names, in words; criterion
+        relative to the declared model; and whether it was refitted to convergence.
     likely
-        The sets that hold 90 % of the probability, where that is known: names, in words.
+        The sets with 90 % of the probability, if known: names, in words.
     claims
-        For each effect that was named or is a lead, whether it is claimed, right in place and kind,
-        and right in place; and its evidence (see `ClaimEvidence`).
+        For each named effect or lead, whether it is claimed, right in place and kind, and right in
+        place; and its evidence (see `ClaimEvidence`).
     active, spans
-        The parts of the search that changed something, and the simulations before and after each
-        call of one; None where nobody looked. See `closed_loop_benchmark.activity`.
+        The active parts of the search, and the simulations before and after each call of one; None
+        if not recorded. See `closed_loop_benchmark.activity`.
     error
-        The traceback of what went wrong, "" if nothing did.
+        The traceback of an error, or "".
     """
 
     name: str
@@ -135,17 +135,17 @@ class Score:
     error: str = ""
 
     def to_json(self) -> str:
-        """Write it on one line."""
+        """Return the record as one line."""
         return json.dumps(asdict(self))
 
     @staticmethod
     def from_json(line: str) -> Score:
-        """Read what `to_json` wrote."""
+        """Read a record written by `to_json`."""
         return Score(**json.loads(line))
 
 
 def blank(data: Data, error: str = "") -> Score:
-    """Return the record of a case about which nothing is known."""
+    """Return the record of a case without a result."""
     case = data.scenario
     return Score(
         name=case.name,
@@ -167,14 +167,14 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
     data
         The case.
     result
-        What the method said.
+        Result of the method.
     oracle
-        What the true structure reaches.
+        Results of the true structure.
 
     Returns
     -------
     Score
-        Everything that the tables need.
+        All data of the tables.
     """
     found = {
         **_naming(data, result),
@@ -206,12 +206,12 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
 
 
 def _naming(data: Data, result: LoopResult) -> dict[str, Any]:
-    """Return what there is to say about the names, an entry for each true effect."""
+    """Return the comparison of names, with an entry for each true effect."""
     accepted = data.scenario.accepted
     named = [normal(e.form, e.site, e.variables) for e in result.effects]
     others = list(_alternatives(result.effects))
     matches = [asdict(compare(names, named, others)) for names in accepted]
-    inside = data.scenario.kind != "outside"  # there, what an effect is called is no right name
+    inside = data.scenario.kind != "outside"  # otherwise no name is right
     marks = {f.name: [match[f.name] and inside for match in matches] for f in fields(Match)}
     return {
         **marks,
@@ -221,10 +221,10 @@ def _naming(data: Data, result: LoopResult) -> dict[str, Any]:
 
 
 def _claims(data: Data, result: LoopResult, *, same: bool) -> list[dict[str, Any]]:
-    """Return what speaks for each effect that is claimed or a lead, and whether it is right.
+    """Return the evidence for each claimed effect or lead, and whether it is right.
 
-    It is, where it has a name of a true effect or the whole structure is the `same` model. A free
-    curve is right at the place of an effect that the library cannot express.
+    It is right if it has a name of a true effect, or if the complete structure is the `same` model.
+    A free curve is right at the place of an effect that the library cannot express.
     """
     accepted = [
         normal(n.form, n.site, (n.variable,)) for own in data.scenario.accepted for n in own
@@ -249,7 +249,7 @@ def _claims(data: Data, result: LoopResult, *, same: bool) -> list[dict[str, Any
 
 
 def _distances(data: Data, result: LoopResult) -> dict[str, Any]:
-    """Return how far what was found is from the truth, if it has no more effects than that."""
+    """Return the distance of the result from the truth, if it has no more effects."""
     if not 0 < len(result.effects) <= len(data.scenario.accepted):
         return {}
     distance = missed(data, result.after)
@@ -261,7 +261,7 @@ def _distances(data: Data, result: LoopResult) -> dict[str, Any]:
 
 
 def _errors(data: Data, result: LoopResult, oracle: Oracle) -> dict[str, Any]:
-    """Return the errors before and after, and what they could be."""
+    """Return the errors before and after, and the smallest possible errors."""
     return {
         "likelihood_ratio": _sum_of_squares(result) - oracle.best.sse,
         "before": result.rms("test", "before"),
@@ -276,12 +276,12 @@ def _errors(data: Data, result: LoopResult, oracle: Oracle) -> dict[str, Any]:
 
 
 def missed(data: Data, fitted: Result) -> float:
-    """Refit a structure to the true outputs, and return by how much it misses them."""
+    """Refit a structure to the true outputs, and return its error."""
     return refit(_without_noise(data, fitted.problem), fitted.x, held_out=False).train
 
 
 def _without_noise(data: Data, problem: Problem) -> Problem:
-    """Put the true outputs in the place of the measured ones, outliers included."""
+    """Replace the measured outputs, including outliers, by the true outputs."""
     clean = []
     for run in problem.experiments:
         columns = zip(run.outputs, run_of(data, run.id).true_outputs.T, strict=True)
@@ -301,7 +301,7 @@ def _alternatives(effects: Sequence[NamedEffect]) -> Iterable[tuple[Name, float]
 
 
 def _sum_of_squares(result: LoopResult) -> float:
-    """Return that of the declared model, on the training runs."""
+    """Return the sum of squares of the declared model on the training runs."""
     rows = [e for e in result.errors if e.role == "train"]
     return float(sum(e.samples * e.normalised_before**2 for e in rows))
 
@@ -312,12 +312,12 @@ def _parameter_error(data: Data, found: dict[str, float]) -> float:
 
 
 def coverage(data: Data, result: LoopResult) -> tuple[int, int]:
-    """Count the 95 % intervals that hold the truth, and all that there are.
+    """Return the number of 95 % intervals that contain the truth, and the total number.
 
-    Of effects that were named as they are called, of hidden stores whatever they begin with. Left
-    out are variations of parameters, whose strength hangs on the value that the parameter has where
-    they do nothing, strengths at a reference that was chosen, and coefficients without an interval:
-    held ones, and those at a bound.
+    Only correctly named effects count; for hidden stores, the form of the start is ignored.
+    Variations of parameters are omitted, because their strength depends on the parameter's value at
+    the reference point. Strengths at a chosen reference are omitted too. Held coefficients and
+    coefficients at a bound have no interval.
     """
     held = [low <= true <= high for true, low, high in _intervals(data, result)]
     return sum(held), len(held)
@@ -332,7 +332,7 @@ def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, f
             continue
         try:
             added, values = translate(effect, number)
-        except KeyError:  # the library has no such form
+        except KeyError:  # the library lacks the form
             continue
         called = normal(added.form, added.site, added.variables)
         for named in result.effects:
@@ -343,7 +343,7 @@ def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, f
 def _of_constants(
     data: Data, result: LoopResult, number: int
 ) -> Iterator[tuple[float, float, float]]:
-    """Return the same of an effect that is written with the library's coefficients."""
+    """Yield the intervals of an effect that is given with the library's coefficients."""
     effect, first = data.scenario.effects[number], data.scenario.accepted[number][0]
     values = dict(effect.constants)
     if REFERENCES & {*values}:

@@ -4,8 +4,8 @@
 
     problem, data = one_record(single_records()[0])
 
-The record follows the excitations of a system one after the other, from a state in which it was
-found. It is what most engineers have to begin with.
+The record contains the excitations of a system one after the other, from an unknown state. Most
+engineers start with such data.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from cluster_est.problem.held_out import hold_out
 CASES = 60
 HELD_OUT = 1.0 / 3.0
 FOUND_AT = 0.4
-"""Share of an excitation after which the system is found when the record begins."""
+"""Share of an excitation after which the record begins."""
 GUESSED = 0.1
 """Standard error of a guess of an initial state, over the range of the state."""
 
 
 def single_records() -> list[Scenario]:
-    """Return the cases, of all systems by turns."""
+    """Return the cases, alternating between systems."""
     cases = [
         scenario(system, "single record", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
         for system, effects in SINGLE.items()
@@ -43,7 +43,7 @@ def single_records() -> list[Scenario]:
 
 
 def one_record(case: Scenario) -> tuple[Problem, Data]:
-    """Return the problem that a method is given, and the data behind it."""
+    """Return the problem that a method is given, and its data."""
     system = SYSTEMS[case.system]
     random = np.random.default_rng(case.seed)
     runs = system.excitation(system.times, random)
@@ -66,7 +66,7 @@ def one_record(case: Scenario) -> tuple[Problem, Data]:
     problem = make_problem(data)
 
     def guessed(parameter: Parameter) -> Parameter:
-        """Give an initial state a guess, and as much room as the state ever takes."""
+        """Give an initial state a guess, with bounds from the range of the state."""
         state = parameter.variable
         if state not in starts:
             return parameter

@@ -1,4 +1,4 @@
-"""What a system of the benchmark is: an FMU, the same physics written once more, and its runs."""
+"""Definition of a benchmark system: an FMU, independent equations of the same physics, and runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Values = Sequence[Array | float] | Array
 """One entry for each state, input or parameter; each a number, or one number for each run."""
 Equations = Callable[[Values, Values, Values], tuple[Array | float, ...]]
-"""From states, inputs and parameters to rates or to outputs."""
+"""Function of states, inputs and parameters that returns rates or outputs."""
 
 Interface = Literal["model_exchange", "co_simulation"]
 Role = Literal["train", "test"]
@@ -27,7 +27,7 @@ class Run:
     Attributes
     ----------
     waveform
-        What drives the experiment, in words.
+        Excitation in words.
     role
         Whether it is for training or held out.
     inputs : (samples, inputs)
@@ -35,7 +35,7 @@ class Run:
     starts
         True initial states.
     signals : (samples, signals)
-        What was measured too, but is no input of the FMU; linear between the samples.
+        Other measured signals, which are not inputs of the FMU; linear between the samples.
     """
 
     waveform: str
@@ -46,7 +46,7 @@ class Run:
 
 
 Excitation = Callable[[Array, np.random.Generator], list[Run]]
-"""From the sampling times and a random generator to the runs, training runs first."""
+"""Function of the sampling times and a random generator; returns the runs, training runs first."""
 
 
 @dataclass(frozen=True)
@@ -56,34 +56,33 @@ class System:
     Attributes
     ----------
     name
-        Also that of the FMU.
+        Name of the system and of the FMU.
     interface
-        The interface of the FMU that may be used: with co-simulation, state derivatives are out
-        of reach.
+        The usable interface of the FMU; with co-simulation, state derivatives are not accessible.
     split
-        Whether the method is tuned on the system, or only reported on it.
+        Whether the method is tuned on the system, or only evaluated on it.
     states, inputs, outputs
         Names in the FMU, in the order of the equations.
     parameters
         The parameters to estimate and their true values, in the order of the equations.
     constants
-        Parameters that are known, appended to those above in the equations.
+        Known parameters, which follow those above in the equations.
     rates, readings
-        The equations, apart from the FMU's: rates of the states, and outputs.
+        Equations independent of the FMU: rates of the states, and outputs.
     interval, samples
-        Sampling interval in seconds and samples a run.
+        Sampling interval in seconds, and number of samples in a run.
     excitation
         Makes the runs.
     unknown_starts
-        Initial states that the estimation does not know.
+        Unknown initial states.
     start_error
         Largest relative error of the guess of an unknown initial state.
     spreads
-        Largest relative error of a parameter's start value, where 25 % would be absurd.
+        Largest relative error of a parameter's start value, if 25 % would be absurd.
     signals
-        Names of measured signals that are no inputs of the FMU.
+        Names of measured signals that are not inputs of the FMU.
     drives
-        Inputs that enter one rate only, and there with a constant gain: (input, state).
+        Inputs that enter only one rate, with a constant gain: (input, state).
     substeps
         Integration steps between two samples.
     """
@@ -124,7 +123,7 @@ class System:
 
 
 def measured(*places: int) -> Equations:
-    """Return the readings of sensors that show some of the states as they are."""
+    """Return the readings of sensors that measure some states directly."""
     return lambda x, u, p: tuple(x[place] for place in places)
 
 
@@ -135,7 +134,7 @@ def make_run(
     starts: Mapping[str, float],
     signals: Sequence[Array] = (),
 ) -> Run:
-    """Gather the inputs and signals of one experiment, each given as its samples."""
+    """Return the run of one experiment, with inputs and signals given as samples."""
     columns = np.column_stack(inputs)
     others = np.column_stack(signals) if signals else np.zeros((len(columns), 0))
     return Run(waveform, role, columns, dict(starts), others)

@@ -28,14 +28,14 @@ PHYSICS: dict[str, tuple[Equations, Excitation]] = {
     "hydraulic_cylinder": (mechanical.cylinder_rates, mechanical.cylinder_runs),
     "resonant_circuit": (balances.circuit_rates, balances.circuit_runs),
 }
-"""The rates of the states, and what makes the runs."""
+"""The rates of the states, and the functions that make the runs."""
 
 READINGS = {
     "battery": balances.cell_readings,
     "quarter_car": mechanical.car_readings,
     "pharmacokinetics": balances.body_readings,
 }
-"""Of systems whose sensors show more than states."""
+"""Equations of sensors that measure more than states."""
 
 
 def _system(name: str, given: dict[str, Any]) -> System:

@@ -1,4 +1,4 @@
-"""The benchmark's page and its tables, and two runs of it side by side."""
+"""The benchmark's page and its tables, and a comparison of two executions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CLASSES = (-np.inf, 15.0, 40.0, 100.0, 400.0, 3000.0, np.inf)
 
 
 def bars(scores: Sequence[Score]) -> str:
-    """Write what is asked of the method, and its figures."""
+    """Return the requirements on the method, and its figures."""
     clean, pairs = f.kinds(scores, "clean"), f.detectable(f.kinds(scores, "pair"))
     foreign = f.kinds(scores, "outside", "disturbance")
     triples = f.detectable(f.kinds(scores, "triple"))
@@ -75,7 +75,7 @@ def _one_effect(scores: Sequence[Score]) -> list[list[str]]:
 
 
 def _textbook(scores: Sequence[Score]) -> list[list[str]]:
-    """Return the rows about one detectable effect that was chosen by physics."""
+    """Return the rows about one detectable effect from a textbook."""
     return [
         ["from a textbook: detected", ">= 99 %", f.share(scores, f.detected)],
         ["right, strictly", ">= 96 %", f.share(scores, f.strictly_right)],
@@ -96,7 +96,7 @@ def _untidy(scores: Sequence[Score]) -> list[list[str]]:
 
 
 def by_ratio(scores: Sequence[Score]) -> str:
-    """Write how much is seen and named, as a function of the likelihood ratio."""
+    """Return the shares of detected and named effects as a function of the likelihood ratio."""
     head = ["likelihood ratio", "n", "before on train", *NAMING, "before -> after (oracle)"]
     rows, single = [], f.kinds(scores, "single", "coloured")
     for low, high in pairwise(CLASSES):
@@ -109,7 +109,7 @@ def by_ratio(scores: Sequence[Score]) -> str:
 
 
 def by_system(scores: Sequence[Score]) -> str:
-    """Write the same for each system."""
+    """Return the shares of detected and named effects for each system."""
     head = ["system", "n", *NAMING, "over oracle", "simulations", "seconds"]
     rows, single = [], f.detectable(f.kinds(scores, "single", "coloured"))
     for system in sorted({s.system for s in single}):
@@ -121,7 +121,7 @@ def by_system(scores: Sequence[Score]) -> str:
 
 
 def verdicts(scores: Sequence[Score]) -> str:
-    """Write what is said where no name is right, and where nothing is missing."""
+    """Return the verdicts without a right name, and with nothing missing."""
     kinds: tuple[tuple[str, Callable[[Score], bool]], ...] = (
         ("outside", lambda s: s.kind == "outside"),
         ("disturbance", lambda s: s.kind == "disturbance"),
@@ -145,18 +145,18 @@ def verdicts(scores: Sequence[Score]) -> str:
 
 
 def every_case(scores: Iterable[Score]) -> str:
-    """Write one line a case."""
+    """Return one line for each case."""
     head = ["case", "LR", "verdict", "named", "right", "before -> after (oracle)"]
     return markdown([*head, "simulations", "s"], [_case(s) for s in scores if not s.error])
 
 
 def failures(scores: Iterable[Score]) -> str:
-    """Write what went wrong, the last line of each traceback."""
+    """Return the errors, with the last line of each traceback."""
     return markdown(["case", "error"], [[s.name, s.error.splitlines()[-1]] for s in scores])
 
 
 def one_line(score: Score) -> str:
-    """Write a case for a terminal."""
+    """Return a case as text for a terminal."""
     if score.error:
         return f"{score.name}: {score.error.splitlines()[-1]}"
     name, ratio, verdict, named, right, errors, simulations, seconds = _case(score)
@@ -167,7 +167,7 @@ def one_line(score: Score) -> str:
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Write a table."""
+    """Return a table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(c.replace('|', '&#124;') for c in line)} |" for line in lines)
 
@@ -206,7 +206,7 @@ def _case(score: Score) -> list[str]:
 
 
 def rightness(score: Score) -> str:
-    """Say in a word or two how right the names are."""
+    """Return in a word or two how right the names are."""
     if f.worse(score):
         return "worse"
     if not score.true and score.kind != "disturbance":
@@ -228,11 +228,11 @@ def rightness(score: Score) -> str:
 
 
 def holds(score: Score) -> bool:
-    """Tell whether what was said of a case is right.
+    """Return whether the result of a case is right.
 
-    Nothing may be claimed of a case without an effect, nor held-out data be followed worse than
-    before; an effect must have one of its names, or be the same model on the data. Where the
-    library cannot express the truth, anything that follows held-out data no worse is right.
+    For a case without an effect, nothing may be claimed, and the held-out error must not increase.
+    An effect must have one of its names, or be the same model on the data. If the library cannot
+    express the truth, every result that does not increase the held-out error is right.
     """
     if score.error or f.worse(score):
         return False
@@ -242,15 +242,15 @@ def holds(score: Score) -> bool:
 
 
 def compare_runs(old: Mapping[str, Score], new: Mapping[str, Score]) -> tuple[str, int]:
-    """Compare the cases that both have.
+    """Compare the cases that both executions have.
 
     Returns
     -------
     str
-        A line for each case that is no longer right, with what was said then and now, the names of
-        those that have become right, and the counts.
+        A line for each case that is no longer right, with both results, the names of the cases that
+        have become right, and the counts.
     int
-        How many are no longer right.
+        Number of cases that are no longer right.
     """
     both = [name for name in old if name in new]
     lost = [name for name in both if holds(old[name]) and not holds(new[name])]
@@ -287,7 +287,7 @@ those of the second.
 
 
 def page(scores: Sequence[Score]) -> str:
-    """Write the page.
+    """Return the page.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Simulate a system as it truly is, without its FMU: its own equations and what the FMU lacks.
+"""Simulation of the true system without its FMU: its own equations and the missing effects.
 
 All runs of a system are integrated at once by the classic Runge-Kutta method with steps much
 shorter than the sampling interval. Inputs are linear between samples. Undeclared effects at inputs
-act on the signals beforehand, those at outputs afterwards, all others are hooked into the rates and
-parameters within each step.
+are applied to the signals before the simulation, and those at outputs afterwards. All others act on
+the rates and parameters within each step.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from closed_loop_benchmark.system import Array, Run, System
 
 @dataclass(frozen=True)
 class Push:
-    """A disturbance: a signal on a rate that nobody measures.
+    """An unmeasured disturbance of a rate.
 
     Attributes
     ----------
     state
-        Its rate is pushed.
+        The state whose rate is disturbed.
     signal : (samples, runs)
         Linear between the samples.
     """
@@ -44,7 +44,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Course:
-    """Everything that drives a system, at every half of an integration step; runs come last."""
+    """All excitations of a system, at every half integration step; runs are the last axis."""
 
     times: Array
     inputs: Array
@@ -64,11 +64,11 @@ def simulate(
     Parameters
     ----------
     system
-        What to simulate.
+        The system.
     runs
         Inputs and true initial states.
     effects
-        What the FMU lacks, in the order in which they act on a signal.
+        Effects that the FMU lacks, in the order in which they act on a signal.
     pushes
         Disturbances.
     parameters
@@ -98,8 +98,8 @@ def simulate(
 def lay_out(
     system: System, runs: Sequence[Run], effects: Sequence[Effect], pushes: Sequence[Push]
 ) -> Course:
-    """Refine the samples of all runs, and let the effects at inputs act."""
-    halves = 2 * system.substeps  # the integration looks at the middle of each step too
+    """Refine the samples of all runs, and apply the effects at inputs."""
+    halves = 2 * system.substeps  # the integration also needs the middle of each step
     times = refine(system.times, halves)
     inputs = refine(np.stack([run.inputs for run in runs], axis=-1), halves)
     for effect in (e for e in effects if e.kind == "input" and not acts_inside(e)):
@@ -113,7 +113,7 @@ def lay_out(
 
 
 def refine(samples: Array, pieces: int) -> Array:
-    """Divide each interval between two samples into pieces, along straight lines."""
+    """Divide each interval between two samples into pieces, with linear interpolation."""
     share = (np.arange(pieces) / pieces).reshape(-1, *[1] * (samples.ndim - 1))
     between = samples[:-1, None] + share * np.diff(samples, axis=0)[:, None]
     flat = between.reshape((len(samples) - 1) * pieces, *samples.shape[1:])
@@ -132,8 +132,8 @@ def integrate(
     Returns
     -------
     states, inputs, outputs
-        At every step: time first, runs last. Memories of effects stand behind the states; inputs
-        are as they act on the system.
+        At every step: time first, runs last. Memories of effects follow the states; inputs include
+        effects.
     """
     active = make_hooks(system, effects)
     n_states, step = len(system.states), 2.0 * (course.times[1] - course.times[0])
@@ -164,7 +164,7 @@ def integrate(
 
 
 def _step(flow: Callable[[int, Array], Array], place: int, x: Array, h: float) -> Array:
-    """Take one classic Runge-Kutta step, which is two places of the course."""
+    """Return one classic Runge-Kutta step, which is two positions of the course."""
     k1 = flow(place, x)
     k2 = flow(place + 1, x + 0.5 * h * k1)
     k3 = flow(place + 1, x + 0.5 * h * k2)
@@ -173,12 +173,12 @@ def _step(flow: Callable[[int, Array], Array], place: int, x: Array, h: float) -
 
 
 SMALLEST_FACTOR = 0.02
-"""No effect may turn a parameter negative."""
+"""Smallest factor of a parameter, so that no effect makes it negative."""
 
 
 @dataclass
 class Moment:
-    """All values at one time, the states' memories behind the states; a column for each run."""
+    """All values at one time, with memories after the states; a column for each run."""
 
     time: float
     states: Array
@@ -192,18 +192,18 @@ Reader = Callable[[Moment], Value]
 
 @dataclass(frozen=True)
 class Hook:
-    """An effect made ready for a system.
+    """An effect prepared for a system.
 
     Attributes
     ----------
     effect, law
-        What acts, and how.
+        The effect and its law.
     targets
-        Places of the input, the parameter or the states that it acts on.
+        Positions of the input, the parameter or the states on which it acts.
     first, second
         Read the variables of the law.
     memory
-        Row of the memory behind the states.
+        Row of the memory after the states.
     """
 
     effect: Effect
@@ -220,7 +220,7 @@ class Hook:
         return self.law(self.effect.numbers, moment.time, v, w, z)
 
     def memory_rate(self, moment: Moment) -> Value:
-        """Evaluate the rate of the memory, which is zero for most."""
+        """Evaluate the rate of the memory, which is zero for most laws."""
         rate = MEMORIES.get(self.effect.form)
         if rate is None:
             return 0.0
@@ -228,20 +228,20 @@ class Hook:
 
 
 def make_hooks(system: System, effects: Sequence[Effect]) -> list[Hook]:
-    """Return the hooks of those effects that act within a step."""
+    """Return the hooks of the effects that act within a step."""
     inside = [e for e in effects if acts_inside(e)]
     return [_make_hook(system, e, len(system.states) + n) for n, e in enumerate(inside)]
 
 
 def acts_inside(effect: Effect) -> bool:
-    """Tell whether an effect depends on the states or changes their equations."""
+    """Return whether an effect depends on the states or changes their equations."""
     return effect.kind in ("der", "pair", "parameter") or (
         effect.kind == "input" and bool(effect.variable)
     )
 
 
 def change_inputs_and_parameters(hooks: Sequence[Hook], moment: Moment) -> None:
-    """Let the effects at inputs and parameters act, in their order."""
+    """Apply the effects at inputs and parameters, in their order."""
     for hook in hooks:
         if hook.effect.kind == "input":
             (place,) = hook.targets
@@ -275,7 +275,7 @@ def _make_hook(system: System, effect: Effect, memory: int) -> Hook:
         "parameter": (*system.parameters, *system.constants),
     }.get(effect.kind, system.states)
     targets = tuple(listed.index(target) for target in effect.targets)
-    # A product at an input is one of the input itself and a variable.
+    # A product at an input is that of the input itself and a variable.
     second = effect.targets[0] if effect.kind == "input" else effect.second
     return Hook(
         effect, law, targets, reader(system, effect.variable), reader(system, second), memory

@@ -55,13 +55,13 @@ def noise(time: Array, random: Random, cutoff: float) -> Array:
 
 
 def daylight(time: Array, random: Random) -> Array:
-    """Return the strength of the sun from 0 to 1: half a sine each day, weakened by clouds."""
+    """Return the strength of the sun from 0 to 1: half a sine each day, reduced by clouds."""
     sun = np.maximum(np.sin(2.0 * np.pi * (time / 86400.0 - 0.25)), 0.0)
     return np.asarray(sun * (0.6 + 0.4 * ramps(time, random, 7200.0)))
 
 
 def _piece(time: Array, hold: float) -> np.ndarray:
-    # Half a sample on: rounding must not move an edge.
+    # shifted by half a sample, so that rounding does not move an edge
     return np.asarray((time + 0.5 * (time[1] - time[0])) // hold, dtype=int)
 
 

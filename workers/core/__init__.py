@@ -1,13 +1,13 @@
 """The core: simulation loops, effects and filters in C, called by ctypes.
 
-`core.h` is its whole interface, `library` the same for Python, `build` says what is built for which
-platforms and makes what is not carried along, `assemble` turns equations into byte code, `sundials`
-makes CVODE's objects.
+`core.h` is its complete interface, and `library` is the same interface for Python. `build` lists
+platforms and compiles missing libraries. `assemble` converts equations to byte code. `sundials`
+creates the objects of CVODE.
 
-The C reads from the bottom to the top: `fmu.h` and `values` call an FMU by address; `program` and
-`machine` run byte code; `work` has what all methods share; `co_simulation` stands on these alone.
-`exchange` and `events` are for model exchange, and the methods `runge_kutta`, `dormand_prince` and
-`cvode` stand on them; `batch` runs the loop of a method, `linearise`, `kalman` and `sensitivities`
-stand on the methods. `outputs`, `memories` and `screening` need no FMU. `elementary` has the
-functions whose bits are the same everywhere.
+The C files depend on each other in this order. `fmu.h` and `values` call an FMU by address;
+`program` and `machine` run byte code; `work` is common to all methods. `co_simulation` needs only
+these files. `exchange` and `events` are for model exchange, and the methods `runge_kutta`,
+`dormand_prince` and `cvode` need them. `batch` runs the loop of a method. `linearise`, `kalman` and
+`sensitivities` use the methods. `outputs`, `memories` and `screening` need no FMU. `elementary`
+contains functions with bitwise identical results on all platforms.
 """

@@ -1,8 +1,8 @@
 """Equations of effects as byte code for the core.
 
-The code is straight: each instruction computes one register from one or two others. Equal parts
-are computed once, and what depends on coefficients alone once a simulation. Sums and products are
-in the order in which SymPy sorts them, so that the same equations always give the same bits.
+The code has no branches: each instruction computes one register from one or two others. Common
+subexpressions are computed once, and values that depend only on coefficients once a simulation.
+Sums and products are evaluated in SymPy's order, so the same equations always give the same bits.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ OPERATIONS = (
     "ABSOLUTE", "SIGN", "ROOT", "EXP", "LOG", "SIN", "COS", "TAN", "TANH", "ATAN", "POW", "LESS",
     "LESS_OR_EQUAL", "EQUAL", "UNEQUAL", "AND", "OR", "NOT", "CHOOSE",
 )  # fmt: skip
-"""In the order of program.h."""
+"""Operations in the order of program.h."""
 CODE_MARK = b"CECORE1\0"
 MOST_REGISTERS = 2**16 - 1
 _CODES = {name: code for code, name in enumerate(OPERATIONS)}
@@ -48,9 +48,9 @@ _COMPARISONS: dict[type[sp.Basic], tuple[str, bool]] = {
     sp.Equality: ("EQUAL", False),
     sp.Unequality: ("UNEQUAL", False),
 }
-"""Operations, and whether the sides change places."""
+"""Operations, and whether the two sides are exchanged."""
 _MOST_MULTIPLICATIONS = 64
-"""Integer powers up to this one are products."""
+"""Largest integer power that is computed by multiplications."""
 TIME_SYMBOL = sp.Symbol("t", real=True)
 
 
@@ -68,7 +68,7 @@ class EffectArray(StrEnum):
 
 @dataclass(frozen=True)
 class Assignment:
-    """`target[index] = value`, or `+=`."""
+    """The assignment `target[index] = value`, or `+=`."""
 
     target: EffectArray
     index: int
@@ -82,19 +82,19 @@ Locations = dict[sp.Symbol, tuple[EffectArray, int]]
 
 @dataclass(frozen=True)
 class Registers:
-    """How many registers there are of each kind.
+    """Numbers of registers of each kind.
 
     Attributes
     ----------
     states, own
-        Of the FMU and of effects together; of effects, which are the last of them.
+        States of the FMU and of effects together; states of effects, which come last.
     inputs
-        Inputs and signals; for an effect at an output those and, behind them, the outputs.
+        Inputs and signals. For an effect at an output, the outputs follow them.
     coefficients
-        In a row of the task's, with those of other effects.
+        Coefficients in a row of the task, including those of other effects.
     base, parameters
-        Parameters that effects change: values without effects, and with them. What else is computed
-        from values, such as an output behind its effect, is a parameter here.
+        Parameters that effects change: values without effects, and values with effects. Other
+        computed values, such as an output with its effect, also count as parameters.
     """
 
     states: int
@@ -112,22 +112,22 @@ def assemble(
     before: Sequence[Assignment] = (),
     after: Sequence[Assignment] = (),
 ) -> bytes:
-    """Make byte code of effects.
+    """Return the byte code of effects.
 
     Parameters
     ----------
     registers
-        How many there are.
+        Numbers of registers.
     locations
-        Of the symbols of the equations but the time, which is `TIME_SYMBOL`.
+        Locations of all symbols of the equations except the time, which is `TIME_SYMBOL`.
     start, before, after
         Assignments to own states at the start; to effective inputs and parameters; and to
-        derivatives. All values of one of them are read before anything is written.
+        derivatives. Within each group, all values are read before any is written.
 
     Raises
     ------
     EffectError
-        If an equation has something in it that the core does not know, or there are too many.
+        If an equation contains something that the core cannot compute, or needs too many registers.
     """
     code = _Code(registers)
     code.write_start(start, locations)
@@ -137,15 +137,15 @@ def assemble(
 
 
 _Instruction = tuple[str, int, int, int]
-"""Operation, register that it writes, and two that it reads."""
+"""Operation, register that it writes, and two registers that it reads."""
 _Known = dict[tuple[str, int, int, int], int]
-"""Registers of what is computed already, by operation and operands."""
+"""Registers of values that are already computed, by operation and operands."""
 ONCE, START, BEFORE, AFTER = range(4)
 
 
 @dataclass
 class _Code:
-    """Pieces of code under way, and what the registers hold."""
+    """Pieces of unfinished code, and the contents of the registers."""
 
     registers: Registers
     pieces: list[list[_Instruction]] = field(default_factory=lambda: [[], [], [], []])
@@ -154,7 +154,7 @@ class _Code:
     _fixed: set[int] = field(default_factory=set)
     _temporaries: int = 0
     _first_temporary = 1_000_000
-    """Until it is known how many constants there are."""
+    """First number of temporary registers until the number of constants is known."""
 
     def __post_init__(self) -> None:
         r = self.registers
@@ -170,29 +170,29 @@ class _Code:
         self._known: _Known = {}
 
     def write_start(self, given: Sequence[Assignment], where: Locations) -> None:
-        """Own states at the start."""
+        """Write the initial values of own states."""
         for assignment, result in self._write(START, given, where):
             to = self._first[EffectArray.STATES] + assignment.index
             self.pieces[START].append(("MOVE", to, result, 0))
 
     def write_before(self, given: Sequence[Assignment], where: Locations) -> None:
-        """Effective inputs and parameters. Who computes one alone writes it in its place."""
+        """Write effective inputs and parameters, if possible directly into their registers."""
         for assignment, result in self._write(BEFORE, given, where):
             at_parameters = assignment.target == EffectArray.EFFECTIVE_PARAMETERS
             behind = self.registers.inputs if at_parameters else 0
             self._place(self._first_effective + behind + assignment.index, result)
 
     def write_after(self, given: Sequence[Assignment], where: Locations) -> None:
-        """What changes derivatives: registers, which the core adds or takes."""
+        """Write values that the core adds to derivatives or assigns to them."""
         for assignment, result in self._write(AFTER, given, where):
             self.sites.append((not assignment.add, assignment.index, result))
 
     def _write(
         self, piece: int, given: Sequence[Assignment], where: Locations
     ) -> list[tuple[Assignment, int]]:
-        """Write equations; returns each with the register of its value.
+        """Write equations; return each assignment with the register of its value.
 
-        Their symbols get short names first, by which SymPy sorts sums and products.
+        The symbols are first given short names, which determine SymPy's order of sums and products.
         """
         used = set().union(*(a.value.free_symbols for a in given)) - {TIME_SYMBOL}
         short = {s: sp.Symbol(f"s{i}", real=True) for i, s in enumerate(sorted(used, key=str))}
@@ -207,7 +207,7 @@ class _Code:
         return [(a, writer.write(value)) for a, value in zip(given, reduced, strict=True)]
 
     def _place_of(self, symbol: sp.Symbol, array: EffectArray, index: int) -> int:
-        """Return the register of an element of an array that equations read."""
+        """Return the register of an array element that equations read."""
         if index >= self._sizes[array]:
             raise EffectError(
                 f"effects: {symbol} is entry {index + 1} of {array}, which has only "
@@ -235,12 +235,12 @@ class _Code:
         return first <= register < self._first_effective or register in self._fixed
 
     def constant(self, value: float) -> int:
-        """Return the register of a number: below 0 until it is known how many there are."""
+        """Return the provisional register of a constant, which is negative."""
         bits = struct.pack("<d", value)
         return -1 - self.constants.setdefault(bits, len(self.constants))
 
     def temporary(self, *, fixed: bool) -> int:
-        """Return a register that nothing has written yet."""
+        """Return an unused register."""
         self._temporaries += 1
         register = self._first_temporary + self._temporaries
         if fixed:
@@ -248,7 +248,7 @@ class _Code:
         return register
 
     def to_bytes(self, *, changes_inputs: bool) -> bytes:
-        """Give the registers their numbers, and put all together."""
+        """Number the registers and return the byte code."""
         r = self.registers
         first_constant = self._first_effective + r.inputs * changes_inputs + r.parameters
         first_temporary = first_constant + len(self.constants)
@@ -283,23 +283,23 @@ class _Code:
 
 
 class _Writer:
-    """Writes the instructions for expressions into a piece of code, or where they are fixed."""
+    """Writes the instructions of expressions to a piece of code, or to `ONCE` if they are fixed."""
 
     def __init__(self, code: _Code, piece: int, known: dict[int, _Known]) -> None:
         self._code, self._piece, self._known = code, piece, known
         self._registers: dict[sp.Symbol, int] = {}
 
     def define(self, symbol: sp.Symbol, register: int) -> None:
-        """Let a symbol stand for a register from now on."""
+        """Assign a register to a symbol."""
         self._registers[symbol] = register
 
     def write(self, value: sp.Expr) -> int:
-        """Write the instructions for an expression, and return its register.
+        """Write the instructions of an expression, and return its register.
 
         Raises
         ------
         EffectError
-            If it has something in it that is not known here.
+            If the expression contains an unknown function.
         """
         if value.is_Symbol:
             return self._registers[value]
@@ -313,7 +313,7 @@ class _Writer:
             return self._power(value.base, value.exp)
         if isinstance(value, sp.Piecewise):
             return self._choice(value)
-        if isinstance(value, Boolean):  # that several equations have in common
+        if isinstance(value, Boolean):  # a condition that several equations have in common
             return self._condition(value)
         return self._function(value)
 
@@ -331,7 +331,7 @@ class _Writer:
         )
 
     def _product(self, value: sp.Mul) -> int:
-        """Write the factors, then one division by what stands below the line."""
+        """Write the factors of the numerator, then one division by the denominator."""
         factors = value.as_ordered_factors()
         below = [f for f in factors if f.is_Pow and f.exp.is_Rational and f.exp.is_negative]
         above = [f for f in factors if f not in below]
@@ -353,7 +353,7 @@ class _Writer:
         return self._emit("POW", written, self.write(exponent))
 
     def _integer_power(self, base: int, exponent: int) -> int:
-        """Multiply by repeated squaring."""
+        """Write an integer power by repeated squaring."""
         result, square = None, base
         while exponent:
             if exponent & 1:
@@ -364,7 +364,7 @@ class _Writer:
         return self._code.constant(1.0) if result is None else result
 
     def _choice(self, value: sp.Piecewise) -> int:
-        """Compute all branches and choose; without one that always holds, not a number."""
+        """Compute all branches and select one; NaN if no condition holds."""
         chosen = self._code.constant(float("nan"))
         for branch, condition in reversed(value.args):
             written = self.write(branch)
@@ -404,7 +404,7 @@ class _Writer:
         return reduce(lambda a, b: self._emit(operation, a, b), written)
 
     def _emit(self, name: str, a: int, b: int | None = None) -> int:
-        """Write one instruction, unless its value is known; returns the register of that."""
+        """Write an instruction unless its value is already known; return the register."""
         read = [a] if b is None else [a, b]
         piece = ONCE if all(map(self._code.is_fixed, read)) else self._piece
         key = (name, a, 0 if b is None else b, 0)

@@ -1,10 +1,9 @@
-"""The libraries in C: what each is made of, for which platforms, and where a built one is.
+"""The libraries in C: their sources, their platforms, and the places of compiled libraries.
 
-A wheel carries them for all of `PLATFORMS`, built by `scripts/build_hook.py`; an installation in
-place has those of its own machine in the same folder. What is not there, because a source has been
-changed or the platform is another one, is built at its first use with a C compiler of this machine
-into a cache of this user. The name of a file has a digest of its sources: one that was built from
-others is never taken.
+A wheel contains them for all of `PLATFORMS`; `scripts/build_hook.py` builds them. An editable
+installation has those of its own machine in the same folder. A missing library is compiled at its
+first use into a cache of this user. It is missing if a source has changed or the platform differs.
+The file name contains a digest of the sources, so a library of other sources is never used.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ from workers.errors import ModelError
 
 HERE = Path(__file__).parent
 BINARIES = HERE / "binaries"
-"""Of a wheel, and of an installation in place; git ignores it."""
+"""Folder of compiled libraries in a wheel or an editable installation; git ignores it."""
 FLAGS = (
     "-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden",
     "-fno-math-errno", "-fomit-frame-pointer",
 )  # fmt: skip
-"""No contraction of products and sums: it would give other bits on processors that have it."""
+"""Products and sums are not contracted, because the result would depend on the processor."""
 COMPILERS = ("gcc", "cc", "clang")
 
 KINDS = {"core": ("*.c",), "wrapper": ("*.c", "wrapper/*.c")}
@@ -43,14 +42,14 @@ PLATFORMS = {
     "x86_64-darwin": "x86_64-macos.11.0",
     "aarch64-darwin": "aarch64-macos.11.0",
 }
-"""What a wheel is for, in FMI 3.0's names, with zig's, which say the oldest system that a library
-must run on. Without a name, zig would build for the very processor that it runs on."""
+"""Platforms of a wheel, in the names of FMI 3.0, with zig's names. Zig's names include the oldest
+supported system. Without such a name, zig would optimise for the processor of this machine."""
 
 
 def this_platform() -> str:
-    """Return the platform of this Python in FMI 3.0's names, or one like them where it is another.
+    """Return the platform of this Python in the names of FMI 3.0, or a similar name.
 
-    A Linux whose C library is not glibc, such as Alpine, is one of its own: `x86_64-linux-musl`.
+    A Linux whose C library is not glibc, such as Alpine, is called `x86_64-linux-musl`.
     """
     machine = platform.machine().lower()
     if sys.platform == "win32":  # Python may be for another processor, which Windows emulates
@@ -61,22 +60,22 @@ def this_platform() -> str:
 
 
 def suffix(platform: str) -> str:
-    """Return how a shared library for a platform is called at its end."""
+    """Return the file name suffix of a shared library for a platform."""
     return {"windows": ".dll", "darwin": ".dylib"}.get(platform.split("-")[1], ".so")
 
 
 def sources(kind: str = "core") -> list[Path]:
-    """Return the files that a library of one of `KINDS` is compiled from."""
+    """Return the source files of a library of one of `KINDS`."""
     return sorted(path for pattern in KINDS[kind] for path in HERE.glob(pattern))
 
 
 def built() -> Path:
-    """Return the core's library of this version for this machine; it is built if it is not there.
+    """Return the core's library of this version for this machine; compile it if it is missing.
 
     Raises
     ------
     ModelError
-        If it must be built but there is no compiler, or it fails.
+        If it must be compiled, but there is no compiler or the compiler fails.
     """
     return library("core", this_platform())
 
@@ -84,20 +83,20 @@ def built() -> Path:
 def library(kind: str, platform: str) -> Path:
     """Return a library for a platform.
 
-    One that is not carried along is built: for this machine with any compiler, for others of
-    `PLATFORMS` where the package ziglang is installed.
+    A missing library is compiled. For this machine, any compiler will do. For another one of
+    `PLATFORMS`, the package ziglang is required.
 
     Parameters
     ----------
     kind
         One of `KINDS`.
     platform
-        In FMI 3.0's names; `this_platform()` is this machine's.
+        In the names of FMI 3.0; `this_platform()` returns that of this machine.
 
     Raises
     ------
     ModelError
-        If it is not there and cannot be built.
+        If the library is missing and cannot be compiled.
     """
     carried, cached = carried_path(kind, platform), _cached_path(kind, platform)
     if carried.is_file():
@@ -115,18 +114,18 @@ def library(kind: str, platform: str) -> Path:
 
 
 def is_built() -> bool:
-    """Return whether the core is there already, so that nobody has to wait some seconds for it."""
+    """Return whether the core is already compiled, which otherwise takes some seconds."""
     here = this_platform()
     return carried_path("core", here).is_file() or _is_whole(_cached_path("core", here))
 
 
 def carried_path(kind: str, platform: str) -> Path:
-    """Return where a wheel, or an installation in place, has a library of this version."""
+    """Return the path of a library of this version in a wheel or an editable installation."""
     return BINARIES / _name(kind, platform)
 
 
 def missing(kind: str, platform: str) -> str:
-    """Say in a sentence that a library is not there, and what to do."""
+    """Return a message that a library is missing, and what to do."""
     there = sorted({p for p in PLATFORMS if carried_path(kind, p).is_file()})
     start = (
         f"{BINARIES}: must have the library {kind} of this version for {platform}, but has it for "
@@ -151,7 +150,7 @@ def compile_to(target: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS
     Raises
     ------
     ModelError
-        If there is no compiler, or it fails.
+        If there is no compiler, or the compiler fails.
     """
     _run([*_for_this_machine(), *flags], target, files)
 
@@ -162,25 +161,25 @@ def compile_for(platform: str, target: Path, kind: str = "core") -> None:
     Parameters
     ----------
     platform
-        One of `PLATFORMS`, or another one that zig knows.
+        One of `PLATFORMS`, or another platform that zig supports.
     target
-        The file; on Windows an import library falls out beside it.
+        The file; on Windows, the compiler also writes an import library beside it.
     kind
         One of `KINDS`.
 
     Raises
     ------
     ModelError
-        If zig is not installed, or fails.
+        If zig is not installed, or if it fails.
     """
     command = [*_zig_for(platform), *FLAGS]
-    if suffix(platform) == ".dylib":  # its install name would be the path that it was built at
+    if suffix(platform) == ".dylib":  # its install name would otherwise be the build path
         command.append(f"-Wl,-install_name,@rpath/{kind}.dylib")
     _run(command, target, sources(kind))
 
 
 def build_into(place: Path, compiled: Callable[[Path], None]) -> None:
-    """Have a library compiled to a folder beside its place, and put it there in one go."""
+    """Compile a library in a temporary folder, then move it to its place atomically."""
     with tempfile.TemporaryDirectory(prefix=".building-", dir=place.parent) as folder:
         target = Path(folder) / place.name
         compiled(target)
@@ -188,7 +187,7 @@ def build_into(place: Path, compiled: Callable[[Path], None]) -> None:
 
 
 def compiler() -> str:
-    """Return the C compiler of this machine's system; `CC` names another one.
+    """Return the C compiler of this machine, or the one that `CC` names.
 
     Raises
     ------
@@ -202,13 +201,13 @@ def compiler() -> str:
 
 
 def system_compiler() -> str | None:
-    """Return the same, or None."""
+    """Return the C compiler of this machine, or the one that `CC` names; None if there is none."""
     names = (os.environ.get("CC", ""), *COMPILERS)
     return next((found for name in names if name and (found := shutil.which(name))), None)
 
 
 def zig() -> tuple[str, ...] | None:
-    """Return the command of the package ziglang, or None where it is not installed."""
+    """Return the command of the package ziglang, or None if it is not installed."""
     if importlib.util.find_spec("ziglang") is None:
         return None
     return (sys.executable, "-m", "ziglang", "cc")
@@ -224,7 +223,7 @@ def _zig_for(platform: str) -> tuple[str, ...]:
     command = zig()
     if command is None:
         raise ModelError(missing("core", platform))
-    target = PLATFORMS.get(platform, platform)  # the names with musl are zig's own
+    target = PLATFORMS.get(platform, platform)  # a name with musl is also zig's name
     return (*command, "-target", target, "-fno-sanitize=undefined", "-Wl,-s")
 
 
@@ -241,14 +240,14 @@ def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
 
 
 def _cached_path(kind: str, platform: str) -> Path:
-    """Return where this user's cache has a library, or will have it."""
-    from workers.caches import cache_folder  # the hook, which needs no cache, lacks platformdirs
+    """Return the path of a library in this user's cache."""
+    from workers.caches import cache_folder  # the build hook needs no cache and lacks platformdirs
 
     return cache_folder("core") / _name(kind, platform, os.environ.get("CC", ""))
 
 
 def _is_whole(library: Path) -> bool:
-    """Return whether a cached library is there as it was built: it is executed as it stands."""
+    """Return whether a cached library exists and is unchanged since it was compiled."""
     from workers.caches import is_mine
 
     try:

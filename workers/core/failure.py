@@ -1,4 +1,4 @@
-"""Codes of simulations that do not reach their end, in the order of core.h, and their sentences."""
+"""Codes of failed simulations, in the order of core.h, and their messages."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from __future__ import annotations
     ENDED_EARLY, NO_MEMORY, WRONG_SIZES,
 ) = range(18)  # fmt: skip
 FATAL = 100
-"""Added to a code after status fatal: this instance must not be called any more."""
+"""Added to a code after a fatal status: the instance must not be called again."""
 DISCARD_STATUS, FATAL_STATUS = 2, 4
-"""Of a call of the FMU: from the first on it brought no result."""
+"""Statuses of FMU calls; from `DISCARD_STATUS` on, a call has no result."""
 
 MESSAGES = {
     INITIALISATION: "the FMU could not be initialised",

@@ -1,4 +1,4 @@
-"""The core by ctypes: the structures of core.h, and its functions."""
+"""The core through ctypes: the structures of core.h and its functions."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TYPES = (
     "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64",
     "Boolean",
 )  # fmt: skip
-"""Types of variables that are numbers, in their order in `Fmu.get` and `Fmu.set`."""
+"""Types of numeric variables, in the order of `Fmu.get` and `Fmu.set`."""
 FUNCTIONS = (
     "reset", "setup_experiment", "enter_configuration_mode", "exit_configuration_mode",
     "enter_initialization_mode", "exit_initialization_mode", "set_string", "set_time",
@@ -48,7 +48,7 @@ FUNCTIONS = (
     "enter_continuous_time_mode", "completed_integrator_step", "do_step",
     "set_real_input_derivatives", "get_directional_derivative",
 )  # fmt: skip
-"""Of an FMU, in their order in `Fmu`."""
+"""Functions of an FMU, in the order of `Fmu`."""
 
 
 def _fields(kind: Any, *names: str) -> list[tuple[str, Any]]:
@@ -56,12 +56,12 @@ def _fields(kind: Any, *names: str) -> list[tuple[str, Any]]:
 
 
 class _HoldingStructure(Structure):
-    """A structure that keeps the arrays whose addresses are in it."""
+    """A structure that keeps references to the arrays whose addresses it contains."""
 
     def hold(self, kind: npt.DTypeLike | None = None, **fields: Any) -> Self:
-        """Set fields to structures, or to the addresses of arrays, and keep those.
+        """Set fields to structures or to the addresses of arrays, and keep references to them.
 
-        NumPy's arrays are copied where they are of another kind, or do not lie in C order.
+        A NumPy array is copied if its type differs or if it is not in C order.
         """
         for name, value in fields.items():
             if isinstance(value, Structure):
@@ -76,12 +76,12 @@ class _HoldingStructure(Structure):
 
     @property
     def held(self) -> dict[str, Any]:
-        """What it keeps, by the names of the fields."""
+        """The referenced objects, by the names of the fields."""
         return self.__dict__.setdefault("_held", {})  # type: ignore[no-any-return]
 
 
 class Variables(_HoldingStructure):
-    """Variables that the columns of a row belong to; see core.h for these structures."""
+    """Variables of the columns of a row; core.h describes all these structures."""
 
     _fields_ = [
         *_fields(c_void_p, "reals", "elements"),
@@ -90,7 +90,7 @@ class Variables(_HoldingStructure):
 
 
 class Fmu(Structure):
-    """An instance and its functions."""
+    """An FMU instance and its functions."""
 
     _fields_ = [
         *_fields(c_void_p, "handle", *FUNCTIONS),
@@ -102,7 +102,7 @@ class Fmu(Structure):
 
 
 class Experiment(_HoldingStructure):
-    """Times, inputs, and what is set and recorded."""
+    """Times, inputs, start values and recorded variables."""
 
     _fields_ = [
         ("stop", c_double),
@@ -118,7 +118,7 @@ class Experiment(_HoldingStructure):
 
 
 class Settings(_HoldingStructure):
-    """Of the solver."""
+    """Settings of the solver."""
 
     _fields_ = [
         *_fields(c_double, "step", "rtol", "atol"),
@@ -129,19 +129,19 @@ class Settings(_HoldingStructure):
 
 
 class Effects(_HoldingStructure):
-    """Effects, and their coefficients at each point; without arguments none.
+    """Effects, and their coefficients at each point; without arguments, no effects.
 
     Attributes
     ----------
     n_states
-        Of the effects' own.
+        Number of the effects' own states.
     """
 
     _fields_ = _fields(c_void_p, "program", "parameters", "fastest_rates", "coefficients", "base")
     n_states = 0
 
     def from_point(self, first: int) -> Effects:
-        """Return the same for the points from one of them on."""
+        """Return the effects for the points from `first` on."""
         if not self.program or first == 0:
             return self
         rows = {name: self.held[name][first:] for name in ("fastest_rates", "coefficients", "base")}
@@ -154,7 +154,7 @@ NO_EFFECTS = Effects()
 
 
 class Batch(Structure):
-    """One experiment for many points."""
+    """One experiment, simulated at many points."""
 
     _fields_ = [
         *_fields(c_void_p, "fmu", "experiment", "settings", "effects"),
@@ -168,7 +168,7 @@ class Batch(Structure):
 
 
 class Cvode(Structure):
-    """CVODE's objects and functions."""
+    """Objects and functions of CVODE."""
 
     _fields_ = _fields(
         c_void_p, "memory", "state_vector", "work_vector", "reinit", "set_tolerances",
@@ -185,7 +185,7 @@ class Range(_HoldingStructure):
 
 
 class Linearisation(_HoldingStructure):
-    """What is perturbed, and the derivatives."""
+    """Perturbed variables, and the derivatives."""
 
     _fields_ = [
         ("stepping", c_int64),
@@ -198,7 +198,7 @@ class Linearisation(_HoldingStructure):
 
 
 class Kalman(_HoldingStructure):
-    """Noise, measurements, innovations."""
+    """Process noise, measurements and innovations of an extended Kalman filter."""
 
     _fields_ = _fields(
         c_void_p, "diffusion", "measured", "variances", "innovations", "spreads", "covariance"
@@ -206,7 +206,7 @@ class Kalman(_HoldingStructure):
 
 
 class Sensitivities(_HoldingStructure):
-    """Parameters, their perturbed instances, and the outputs' derivatives by them."""
+    """Parameters, their perturbed instances, and the derivatives of outputs by the parameters."""
 
     _fields_ = [
         ("n", c_size_t),
@@ -233,7 +233,7 @@ class Record(_HoldingStructure):
 
 
 class Pieces(_HoldingStructure):
-    """A recorded simulation, and itself at the pieces of its intervals."""
+    """A recorded simulation, and the same simulation at the pieces of its intervals."""
 
     _fields_ = [
         *_fields(c_void_p, "times", "lengths", "values", "slopes", "outputs", "first", "smooth"),
@@ -243,9 +243,9 @@ class Pieces(_HoldingStructure):
 
 
 def address_of(array: Any) -> int | None:
-    """Return the address of an array that may be written; None of an empty one.
+    """Return the address of a writable array; None for an empty array.
 
-    NumPy's own way takes five times as long, which tiny simulations would show.
+    NumPy's own function takes five times as long, which matters for short simulations.
     """
     return addressof(c_char.from_buffer(array)) if array.size else None
 
@@ -271,12 +271,12 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def load(path: str) -> Any:
-    """Load a library of the core, and declare its functions.
+    """Load a library of the core, and declare the signatures of its functions.
 
     Raises
     ------
     ModelError
-        If it cannot be loaded.
+        If the library cannot be loaded.
     """
     try:
         library = ctypes.CDLL(path)
@@ -293,29 +293,29 @@ def load(path: str) -> Any:
 
 @cache
 def core() -> Any:
-    """Return the core of this machine, which is built at the first call where that is necessary.
+    """Return the core's library; if necessary, the first call compiles it.
 
     Raises
     ------
     ModelError
-        If it cannot be built.
+        If it cannot be compiled.
     """
     return load(str(built()))
 
 
 @final
 class LoadedProgram:
-    """Byte code of effects in the core; its memory is freed with it.
+    """Byte code of effects, loaded into the core and freed with this object.
 
     Parameters
     ----------
     code
-        Of `workers.core.assemble`.
+        Byte code of `workers.core.assemble`.
 
     Raises
     ------
     ModelError
-        If it is no byte code of this version.
+        If it is not byte code of this version.
     """
 
     def __init__(self, code: bytes) -> None:

@@ -1,4 +1,4 @@
-"""CVODE of the SUNDIALS libraries that fmpy's wheel carries, loaded when a model first needs it.
+"""CVODE of the SUNDIALS libraries in fmpy's wheel, loaded when a model first needs it.
 
 Reference: A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation
 solvers, ACM Trans. Math. Softw. 31 (2005) 363-396, doi:10.1145/1089014.1089020.
@@ -32,7 +32,7 @@ _FUNCTIONS = {
 
 
 class SundialsLibraries(NamedTuple):
-    """SUNDIALS, a file for each part."""
+    """The libraries of SUNDIALS."""
 
     core: CDLL
     vector: CDLL
@@ -48,7 +48,7 @@ def libraries() -> SundialsLibraries:
     Raises
     ------
     ModelError
-        If fmpy's wheel carries none, or another version, for this platform.
+        If fmpy's wheel has no SUNDIALS, or another version, for this platform.
     """
     try:
         from fmpy.sundials import libraries as found
@@ -60,7 +60,7 @@ def libraries() -> SundialsLibraries:
             found.sundials_sunlinsoldense,
             found.sundials_cvode,
         )
-    except Exception as error:  # fmpy raises bare exceptions for a version that it does not know
+    except Exception as error:  # fmpy raises bare exceptions for an unknown version
         raise ModelError(
             'model.solver: "cvode" needs the SUNDIALS 7 libraries, but the installed fmpy does '
             f"not include them for this platform ({error}); choose dormand_prince or rk4, or "
@@ -70,15 +70,15 @@ def libraries() -> SundialsLibraries:
 
 @final
 class CvodeIntegrator:
-    """CVODE for one number of states: backward differences, Newton's method, dense Jacobian.
+    """CVODE for a given number of states: BDF, Newton's method, dense Jacobian.
 
-    It has a context of its own, so that integrators may run in several threads, but not one of them
-    in two at a time. Its memory is freed with it.
+    Each integrator has its own context, so several integrators may run in different threads. One
+    integrator must not run in two threads at a time. Its memory is freed with this object.
 
     Parameters
     ----------
     states
-        Their number.
+        Number of states.
 
     Raises
     ------
@@ -90,7 +90,7 @@ class CvodeIntegrator:
         lib = libraries()
         context, size = c_void_p(), c_int64(states)
         lib.core["SUNContext_Create"](c_int(0), byref(context))
-        _pointer(lib.core, "SUNContext_ClearErrHandlers", context)  # they write to stderr
+        _pointer(lib.core, "SUNContext_ClearErrHandlers", context)  # the handlers write to stderr
         y, z = np.zeros(states), np.zeros(states)
         vectors = [
             _pointer(lib.vector, "N_VMake_Serial", size, c_void_p(v.ctypes.data), context)
@@ -99,7 +99,7 @@ class CvodeIntegrator:
         matrix = _pointer(lib.matrix, "SUNDenseMatrix", size, size, context)
         solver = _pointer(lib.linear, "SUNLinSol_Dense", vectors[0], matrix, context)
         memory = _pointer(lib.cvode, "CVodeCreate", c_int(BDF), context)
-        lib.cvode["CVodeSetMaxHnilWarns"](memory, c_int(-1))  # as does this, to stdout
+        lib.cvode["CVodeSetMaxHnilWarns"](memory, c_int(-1))  # the warning is written to stdout
         at = cast(core().core_right_hand_side, c_void_p)
         lib.cvode["CVodeInit"](memory, at, c_double(0.0), vectors[0])
         lib.cvode["CVodeSetLinearSolver"](memory, solver, matrix)
@@ -117,17 +117,17 @@ class CvodeIntegrator:
         freeing = weakref.finalize(
             self, _release, lib, memory, solver, matrix, vectors, context, (y, z)
         )
-        freeing.atexit = False  # a thread may still be in there when the interpreter ends
+        freeing.atexit = False  # a thread may still use it when the interpreter exits
 
     @property
     def address(self) -> int:
-        """Of its structure, for a batch."""
+        """Address of its structure, for a batch."""
         return addressof(self._structure)
 
     def use_jacobian(self, states: Sequence[int] = (), derivatives: Sequence[int] = ()) -> None:
-        """Take the Jacobian from the FMU's directional derivatives where no effects act.
+        """Take the Jacobian from the FMU's directional derivatives if no effects act.
 
-        By differences without references.
+        Without references, the Jacobian is computed by finite differences.
         """
         self._references = tuple(np.array(r, np.uint32) for r in (states, derivatives))
         used = [array.ctypes.data if len(array) else None for array in self._references]
@@ -143,7 +143,7 @@ def _release(
     context: c_void_p,
     _kept: tuple[FloatArray, ...],
 ) -> None:
-    """Free all in the reverse order; `_kept` holds the arrays that the vectors use."""
+    """Free all objects in reverse order; `_kept` holds the arrays that the vectors use."""
     lib.cvode["CVodeFree"](byref(memory))
     lib.core["SUNLinSolFree"](solver)
     lib.core["SUNMatDestroy"](matrix)
@@ -154,7 +154,7 @@ def _release(
 
 def _pointer(library: CDLL, name: str, *arguments: Any) -> c_void_p:
     """Call a function that returns a pointer."""
-    function = library[name]  # not getattr: fmpy has declared those
+    function = library[name]  # not getattr: fmpy declares other signatures for those
     function.restype = c_void_p
     return c_void_p(function(*arguments))
 

@@ -26,7 +26,7 @@ from workers.fmu.description import nearest
 
 @final
 class Max(sp.Max):  # type: ignore[misc]
-    """SymPy's `Max`, simplified only where all arguments are numbers."""
+    """SymPy's `Max`, simplified only if all arguments are numbers."""
 
     def __new__(cls, *arguments: Any, evaluate: bool = False) -> sp.Expr:
         if evaluate or _are_numbers(arguments):
@@ -36,7 +36,7 @@ class Max(sp.Max):  # type: ignore[misc]
 
 @final
 class Min(sp.Min):  # type: ignore[misc]
-    """SymPy's `Min`, likewise."""
+    """SymPy's `Min`, simplified only if all arguments are numbers."""
 
     def __new__(cls, *arguments: Any, evaluate: bool = False) -> sp.Expr:
         if evaluate or _are_numbers(arguments):
@@ -46,7 +46,7 @@ class Min(sp.Min):  # type: ignore[misc]
 
 @final
 class Abs(sp.Abs):  # type: ignore[misc]
-    """SymPy's `Abs`, likewise."""
+    """SymPy's `Abs`, simplified only if its argument is a number."""
 
     @classmethod
     def eval(cls, argument: sp.Expr) -> sp.Expr | None:
@@ -54,7 +54,7 @@ class Abs(sp.Abs):  # type: ignore[misc]
 
 
 def simplified(equation: sp.Basic) -> sp.Basic:
-    """Return an equation with SymPy's own functions, for what looks at its form."""
+    """Return an equation with SymPy's own functions, for code that analyses its structure."""
     if not equation.args:
         return equation
     own = {Max: sp.Max, Min: sp.Min, Abs: sp.Abs}.get(type(equation), equation.func)
@@ -62,7 +62,13 @@ def simplified(equation: sp.Basic) -> sp.Basic:
 
 
 def _are_numbers(arguments: tuple[Any, ...]) -> bool:
-    """Whether all are numbers; refused is what has no size, such as a comparison."""
+    """Return whether all arguments are numbers.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not real, such as a comparison.
+    """
     terms = [sp.sympify(argument) for argument in arguments]
     for term in terms:
         if not isinstance(term, sp.Expr) or term.is_extended_real is False:
@@ -85,7 +91,7 @@ EQUATION_FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "max": Max,
     "where": lambda condition, yes, no: sp.Piecewise((yes, condition), (no, True)),
 }
-"""What an equation may call; `where(condition, yes, no)` chooses."""
+"""Functions that an equation may call; `where(condition, yes, no)` selects a value."""
 
 _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: lambda a, b: a + b,
@@ -95,14 +101,14 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: lambda a, b: _power(a, b),
 }
 MAX_EXPONENT = 1000
-"""Largest exponent of a number: SymPy would compute all digits of 9^9^9."""
+"""Largest exponent of a number, because SymPy would compute all digits of 9^9^9."""
 MOST_DIGITS = 10_000
-"""Digits of a power of numbers, all of which SymPy computes."""
+"""Largest number of digits of a power of numbers, because SymPy computes all of them."""
 LARGEST_FUNCTION_VALUE = 1e300
-"""Largest value of a function of numbers: beyond, the function of that function would never be
-computed."""
+"""Largest value of a function of numbers. The computation of a function of a larger value might
+never end."""
 MAX_DEPTH = 50
-"""Depth of calls, signs, powers and parentheses in each other; SymPy goes through them by
+"""Largest depth of nested calls, signs, powers and parentheses, because SymPy handles them by
 recursion."""
 _COMPARISON_OPERATORS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
@@ -112,25 +118,26 @@ _COMPARISON_OPERATORS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 }
 MAX_LENGTH = 2000
 _PARSING = threading.Lock()
-"""Up to 3.12, CPython counts the depth of a tree for all threads together (its issue 106905)."""
+"""Lock for the parser: up to 3.12, CPython counts the depth of a tree for all threads together
+(issue 106905 of CPython)."""
 
 
 def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
-    """Read an equation.
+    """Parse an equation.
 
     Parameters
     ----------
     text
-        Such as "-force * tanh(v / width)"; ``^`` is a power too.
+        For example "-force * tanh(v / width)"; ``^`` also denotes a power.
     symbols
-        What its names stand for.
+        The symbol of each allowed name.
     where
-        Opens the message if something is wrong.
+        Start of the error message.
 
     Raises
     ------
     EffectError
-        If it is no equation, or has a name or function that it may not have.
+        If the text is not an equation, or contains an unknown name or function.
     """
     if len(text) > MAX_LENGTH:
         raise EffectError(
@@ -148,7 +155,7 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
 
 
 def _shown(text: str) -> str:
-    """Return an equation as a message quotes it."""
+    """Return an equation as it is quoted in a message."""
     return repr(text) if len(text) <= 200 else f"{text[:100]!r}..."
 
 
@@ -172,7 +179,13 @@ def _power(base: Any, exponent: Any) -> Any:
 
 
 def _bounded(value: Any) -> Any:
-    """Return the value of a function; refused is a number that is out of all proportion."""
+    """Return the value of a function.
+
+    Raises
+    ------
+    OverflowError
+        If the value is a number larger than `LARGEST_FUNCTION_VALUE`.
+    """
     if (
         getattr(value, "is_number", False)
         and value.is_finite
@@ -185,7 +198,7 @@ def _bounded(value: Any) -> Any:
 
 
 def _dotted(node: ast.expr) -> str:
-    """A name with dots in it, as FMUs have them; empty if it is something else."""
+    """Return a name with dots, as in FMUs; empty for any other expression."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute) and (before := _dotted(node.value)):
@@ -194,14 +207,14 @@ def _dotted(node: ast.expr) -> str:
 
 
 class _ExpressionReader:
-    """Walks a syntax tree."""
+    """Converts a syntax tree to SymPy."""
 
     def __init__(self, symbols: Mapping[str, sp.Symbol], where: str, text: str) -> None:
         self._symbols, self._where, self._text = symbols, where, text
         self._depth = 0
 
     def read(self, node: ast.expr) -> Any:
-        """Return what a part of the equation stands for."""
+        """Return the SymPy expression of a part of the equation."""
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise _too_deep(self._where, self._text)
@@ -235,7 +248,7 @@ class _ExpressionReader:
         raise self._refused(node)
 
     def _chain(self, node: ast.expr) -> Any:
-        """Operators one after the other, as in a long sum, from the left and without recursion."""
+        """Evaluate consecutive operators, as in a long sum, from the left and without recursion."""
         after: list[tuple[Callable[[Any, Any], Any], ast.expr]] = []
         while isinstance(node, ast.BinOp):
             if type(node.op) not in _ARITHMETIC:

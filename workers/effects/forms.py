@@ -62,7 +62,7 @@ def _k(unit: str) -> FormCoefficient:
 
 
 def _drag(unit: str, *, name: str = "k", if_own: bool = False) -> FormCoefficient:
-    """A strength that takes energy out."""
+    """Return a strength of an effect that takes energy out of the system."""
     return FormCoefficient(name, positive=True, if_own=if_own, unit=unit)
 
 
@@ -71,12 +71,12 @@ def _shape(name: str, unit: str, scale: GridScale, *grid: float) -> FormCoeffici
 
 
 def _at(unit: str, scale: GridScale, *grid: float, held: bool = False) -> FormCoefficient:
-    """A place, which may be negative."""
+    """Return a position on the axis of the variable, which may be negative."""
     return FormCoefficient("at", None, scale=scale, grid=grid, held=held, unit=unit)
 
 
 def _centre(unit: str, scale: GridScale) -> FormCoefficient:
-    """A place where a parameter has its own value: by definition, so nothing to be fitted."""
+    """Return a fixed reference point at which a parameter has its own value; it is not fitted."""
     return _at(unit, scale, 1.0, held=True)
 
 
@@ -89,7 +89,7 @@ def _tau(*steps: float) -> FormCoefficient:
 
 
 def _wave(unit: str, number: FormCoefficient) -> tuple[FormCoefficient, ...]:
-    """The two parts of a wave, a for the sine and b for the cosine, and how fast it repeats."""
+    """Return the coefficients of a wave: a for the sine, b for the cosine, and the wave number."""
     return FormCoefficient("a", unit=unit), FormCoefficient("b", unit=unit), number
 
 
@@ -98,27 +98,27 @@ _WITHIN = _at("v", GridScale.QUANTILE_V, 0.15, 0.3, 0.5, 0.7, 0.85)
 _WIDTH = FormCoefficient(
     "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
-"""Width of a switch: as narrow as a solver can still step across."""
+"""Width of a switch: the smallest width that a solver can still resolve."""
 _NARROW = replace(_WIDTH, grid=(0.004,))
 _EDGE = FormCoefficient(
     "width", None, positive=True, scale=GridScale.MAX_S, grid=(0.005,), held=True, unit="site"
 )
-"""Width of the jump of a signal that is cut off: of a sharp one a fit would see no slope."""
+"""Width of the jump of a signal that is cut off; a sharp jump would have no gradient for a fit."""
 _WAVE = _wave("site", _FREQUENCY)
 _WAVES = tuple(0.5 * halves for halves in range(3, 33))
-"""Waves within the range of the data: in steps of a half no peak of a periodogram is missed."""
+"""Numbers of waves within the range of the data. Steps of 0.5 miss no peak of a periodogram."""
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
 _HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
-"""Value where half of the limit is reached, as in the law of Michaelis and Menten."""
+"""Value at which half of the limit is reached, as in the Michaelis-Menten law."""
 _HILL = _shape("n", "1", GridScale.EXPONENT, 3.0)
-"""Hill's exponent: 1 and, of a parameter, 2 have forms of their own."""
+"""Hill's exponent. Exponent 1 and, for a parameter, exponent 2 have their own forms."""
 _REFERENCE = FormCoefficient(
     "ref", None, positive=True, scale=GridScale.MAX_V, grid=(1.0,), held=True, unit="v"
 )
-"""Reference of a power law: there it is as large as its strength, whatever its exponent."""
+"""Reference of a power law: at this value, the term equals its strength for any exponent."""
 _EXPONENT_OF_POWER = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
-"""Exponents of a power law, beside those of the square root, the line, the square and the cube,
-which have forms of their own."""
+"""Exponents of a power law. The square root, the linear term, the square and the cube have their
+own forms."""
 _ZERO = FormCoefficient(
     "zero", None, scale=GridScale.ABSOLUTE_ZERO, grid=(1.0,), held=True, unit="v"
 )
@@ -148,7 +148,8 @@ _SWINGS = (
 _PULLED = "f * (s - z) - 2 * d * f * y"
 _LAG = OwnState("z", "(v - z) / tau", "v")
 _RESTING = OwnState("z", "(v - z) / tau", "0")
-"""A lag of something that was at rest before, like a further branch in an electrical model."""
+"""A lag of a quantity that was zero before the start, such as another branch in an electrical
+model."""
 _DELAY_LINE = (
     OwnState("z", "10 * y / tau", "v"),
     OwnState("y", "10 * q / tau", "0"),
@@ -156,25 +157,28 @@ _DELAY_LINE = (
     OwnState("p", "(0.84 * (v - z) - 4.8 * y - 12 * q - 16 * p) / tau", "0"),
 )
 _DELAYED = "(z - 30 / 7 * y + 50 / 7 * q - 100 / 21 * p)"
-"""The variable as it was tau ago, before the start as at the start: exp(-x) by its Pade approximant
-of the orders 3 and 4, with z of D(x) z = v, y = x z / 10, q = x y / 10 and p = x q / 10:
+"""The variable delayed by tau; before the start, it has its initial value. exp(-x) is replaced by
+its Pade approximant of orders 3 and 4, with D(x) z = v, y = x z / 10, q = x y / 10, p = x q / 10:
 
     N = 1 - 3/7 x + x^2/14 - x^3/210,    D = 1 + 4/7 x + x^2/7 + 2/105 x^3 + x^4/840
 
-E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), theorem IV.3.12. Of a wave
-with tau w = 2 radians within the delay it misses 2e-4 of the amplitude, with pi radians 0.007. It
-passes on no jump at once, so that a state may depend on itself."""
+E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), theorem IV.3.12. For a wave
+with tau w = 2 radians within the delay, the error is 2e-4 of the amplitude; with pi radians, 0.007.
+There is no direct feed-through, so a state may depend on its own delayed value."""
 _TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
 _VALUES = 7
-"""Values of a free curve; there are finer ones with twice and four times as many steps between
+"""Number of values of a free curve. Finer curves have two and four times as many steps between
 them."""
 _FINER = (13, 25)
 
 
 def _curve(argument: str, values: Iterable[int], of: int = _VALUES) -> str:
-    """Piecewise linear from low to high, constant outside, with values at equal steps, else 0."""
+    """Return a piecewise linear curve with equidistant values; missing values are 0.
+
+    It is constant below `low` and above `high`.
+    """
     inside = f"{of - 1}*(max(min({argument},high),low)-low)/(high-low)"
     return " + ".join(f"k{i} * max(1 - abs({inside} - {i - 1}), 0)" for i in values)
 
@@ -186,7 +190,7 @@ def _curve_coefficients(
 
 
 def _resolutions(name: str) -> list[tuple[str, int, str]]:
-    """Names of a free curve and of the finer ones, the number of values, and the next coarser."""
+    """Return (name, number of values, name of the next coarser curve) of all resolutions."""
     names = [name, *(f"{name}_{of}" for of in _FINER)]
     return list(zip(names, (_VALUES, *_FINER), ("", *names), strict=False))
 
@@ -196,15 +200,18 @@ def _all(of: int) -> list[int]:
 
 
 def _inside(of: int) -> list[int]:
-    """Without a value at the ends a curve of a signal has neither offset nor gain.
+    """Return all points except both ends, so that a curve of a signal has neither offset nor gain.
 
-    Parameters often imitate these, and they are forms of their own.
+    Parameters often have the same influence as offset and gain, which have their own forms.
     """
     return _all(of)[1:-1]
 
 
 def _around(of: int) -> list[int]:
-    """Without a value in the middle, where a parameter has its own: else it would hide there."""
+    """Return all points except the middle one, at which a parameter has its own value.
+
+    With a value in the middle, the curve and the parameter could not be distinguished.
+    """
     return [i for i in _all(of) if i != of // 2 + 1]
 
 
@@ -235,9 +242,9 @@ def _between(
     when: tuple[FormCondition, ...] = _OSCILLATES,
     order: float = 0.0,
 ) -> EffectForm:
-    """A force between two states: what it takes from the first it gives to the second.
+    """Return a force between two states: what is taken from the first is given to the second.
 
-    Two strengths, because the FMU's states need not have the same inertia.
+    There are two strengths, because the FMU's states may have different inertias.
     """
     strengths = (_drag(f"site{unit}"), _drag(f"other{unit}", name="back"))
     return EffectForm(name, family, law, _PAIR, f"-k * {equation}", (*strengths, *shapes), 1,
@@ -249,7 +256,9 @@ _RATES = (
     EffectForm("constant", "load", Law.CONSTANT, _DER, "k", (_k("site"),)),
     EffectForm("drift", "load", Law.DRIFT, _DER, "k * t", (_k("site / second"),)),
     EffectForm("sine", "load", Law.WAVE, _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
-    # of an angle or a way: cogging, eccentricity, teeth; without that state, of the way travelled
+    # as a function of an angle or a distance: cogging, eccentricity, teeth; without such a state,
+    # as a
+    # function of the distance travelled
     EffectForm("periodic", "ripple", Law.PERIODIC, _DER, "a * sin(n * v) + b * cos(n * v)",
          _wave("site", _shape("n", "rad / v", GridScale.WAVES_V, *_WAVES)), 1,
          when=(FormCondition.POSITION,), order=1.5),
@@ -257,7 +266,7 @@ _RATES = (
          "a * sin(n * z) + b * cos(n * z)",
          _wave("site", _shape("n", "rad / travel", GridScale.WAVES_TRAVEL_V, *_WAVES)), 1,
          (_TRAVEL,), when=(FormCondition.OWN, FormCondition.NO_POSITION), order=1.5),
-    # friction and drag: they take energy out where v is a velocity
+    # friction and drag: they take energy out if v is a velocity
     EffectForm("viscous", "friction", Law.LINEAR, _DER,
          "-k * v", (_drag("site / v"),), 1, when=_OWN),
     EffectForm("quadratic", "drag", Law.ODD_SQUARE, _DER, "-k * v * abs(v)",
@@ -277,7 +286,7 @@ _RATES = (
          "-(forward * max(tanh(v / width), 0) + backward * min(tanh(v / width), 0))",
          (_drag("site", name="forward"), _drag("site", name="backward"), _WIDTH),
          1, when=_OWN_OSCILLATES, order=0.5),
-    # pressed by a load, such as a brake's or a seal's
+    # friction in proportion to a load, such as in a brake or a seal
     EffectForm("load_dependent_coulomb", "friction", Law.SWITCH_BY_MAGNITUDE, _DER,
          "-k * abs(w) * tanh(v / width)",
          (_drag("site / w"), _WIDTH), 2, when=_OWN_OSCILLATES, order=0.6),
@@ -291,13 +300,13 @@ _RATES = (
          "k * v^2", (_k("site / v^2"),), 1, order=0.5),
     EffectForm("product", "coupling", Law.PRODUCT, _DER,
          "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
-    # of an amount: with both signs it is little else than a dry friction with a soft edge
+    # for an amount; with both signs it differs little from a Coulomb friction with a soft edge
     EffectForm("saturating", "coupling", Law.SATURATING, _DER, "k * v / (half + abs(v))",
          (_k("site"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.0),
     EffectForm("hill_power", "coupling", Law.HILL_POWER, _DER,
          "k * max(v, 0)^n / (half^n + max(v, 0)^n)",
          (_k("site"), _HALF, _HILL), 1, when=(FormCondition.POSITIVE,), order=1.2, later=True),
-    # of a flow and what it carries, of two reactants, of a valve and the pressure across it
+    # for a flow and what it carries, two reactants, or a valve and the pressure across it
     EffectForm("power_product", "coupling", Law.PRODUCT_OF_POWERS, _DER,
          "k * sign(v) * (abs(v) / ref)^m * (abs(w) / other)^n",
          (_k("site"), _shape("m", "1", GridScale.EXPONENT, 0.5, 1.0, 2.0),
@@ -305,7 +314,7 @@ _RATES = (
           FormCoefficient("other", None, positive=True, scale=GridScale.MAX_W, grid=(1.0,),
                           held=True, unit="w")),
          2, order=1.1, later=True),
-    # of a state at its surroundings' temperature, or of two
+    # between a state and its surroundings, or between two states
     EffectForm("radiation", "radiation", Law.FOURTH_DIFFERENCE, _DER,
          "-k * ((v + zero)^4 - (w + zero)^4)",
          (_drag("site / v^4"), _ZERO), 2, when=(FormCondition.AROUND,), order=0.6),
@@ -313,7 +322,7 @@ _RATES = (
          "-k * ((v + zero)^4 - (w + zero)^4)",
          (_drag("site / v^4"), _drag("other / v^4", name="back"), _ZERO), 2,
          reaction="back * ((v + zero)^4 - (w + zero)^4)", when=(FormCondition.AROUND,), order=0.6),
-    # of a diode, of a chemical reaction that heats itself
+    # for a diode, or an exothermic chemical reaction
     EffectForm("exponential", "coupling", Law.EXPONENTIAL, _DER, "k * exp((v - at) / width)",
          (_k("site"), _at("v", GridScale.HIGH_V, 1.0, held=True),
           _shape("width", "v", GridScale.RMS_V, 0.15, 0.5)), 1, order=1.2),
@@ -325,18 +334,18 @@ _RATES = (
          "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
          when=(FormCondition.OTHER,), order=0.3, differences=True),
-    # of a recycle, a belt, a pipe; of the state itself too
+    # for a recycle, a belt or a pipe; also for the state itself
     EffectForm("delayed", "coupling", Law.DELAYED, _DER,
          f"k * {_DELAYED}", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1, _DELAY_LINE,
          order=0.4, differences=True, later=True),
-    # of a relay that compares two states; of one alone it would stand for the friction of another
+    # for a relay that compares two states; of a single state it would imitate friction elsewhere
     EffectForm("switch", "coupling", Law.SWITCH, _DER, "k * tanh(v / width)",
          (_k("site"), _NARROW), 1, when=_DIFFERENCE_OSCILLATES, order=0.5, differences=True),
     EffectForm("hinge", "end stop", Law.ABOVE, _DER, "k * max(v - at, 0)",
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
     EffectForm("hinge_below", "end stop", Law.BELOW, _DER, "k * max(at - v, 0)",
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
-    # of a sphere on a plane (Hertz), of what flows over a weir
+    # for a sphere on a plane (Hertz), or the flow over a weir
     EffectForm("contact", "end stop", Law.ABOVE_BY_POWER, _DER, "k * (max(v - at, 0) / ref)^n",
          (_k("site"), _at("v", GridScale.QUANTILE_V, 0.5, 0.7, 0.85),
           _shape("n", "1", GridScale.EXPONENT, 1.5), _REFERENCE), 1, order=1.3),
@@ -352,7 +361,7 @@ _RATES = (
              _curve_coefficients(_all(of), *_MOSTLY), 1, order=2.0, values=of, finer_than=coarse)
         for name, of, coarse in _resolutions("table")
     ),
-    # a friction whose level depends on the place, or on anything else
+    # a friction whose level depends on the position or on any other variable
     *(
         EffectForm(name, FREE_FAMILY, Law.SWITCH_BY_CURVE, _DER,
              f"-({_curve('w', _all(of), of)}) * tanh(v / width)",
@@ -372,7 +381,7 @@ _RATES = (
     _between("power", "drag", Law.POWER,
              "sign(v) * (abs(v) / ref)^n", "", _EXPONENT_OF_POWER, _REFERENCE,
              when=(), order=1.0),
-    # a heat exchanger's film, a valve between two tanks
+    # for the film of a heat exchanger, or a valve between two tanks
     replace(
         _between("power_times", "coupling", Law.TIMES_POWER, "v * (abs(w) / ref)^n", " / v",
                  _shape("n", "1", GridScale.EXPONENT, 0.5, 1.0, 2.0),
@@ -385,7 +394,7 @@ _RATES = (
              _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
              when=(FormCondition.FIRST,), order=0.2),
     _between("leak", "leak", Law.ODD_ROOT, "sign(v) * sqrt(abs(v))", " / v^0.5"),
-    # one curve for both, but for the ratio of their inertias
+    # one curve for both states, except for the ratio of their inertias
     *(
         EffectForm(name, FREE_FAMILY, Law.CURVE, _PAIR, _curve("v", _all(of), of),
              _curve_coefficients(_all(of), _RATIO, *_MOSTLY), 1,
@@ -403,7 +412,7 @@ _AS_FORCES = (
 
 
 def _as_force(law: EffectForm) -> EffectForm:
-    """A function of a state where it reaches all that an input acts on: a generalised force."""
+    """Return a form at an input that acts on several derivatives: a generalised force."""
     sign = " - " if law.equation.startswith("-") else " + "
     return replace(
         law,
@@ -423,10 +432,10 @@ _AS_TERMS = (
 
 
 def _as_term(law: EffectForm) -> EffectForm:
-    """A function of inputs as a further term of an output that they act on directly.
+    """Return a function of inputs as an additional term of an output on which they act directly.
 
-    Such an output is a balance, like the torque that a given motion needs. Its sign is the model's,
-    so that of a strength is open.
+    Such an output is a balance, such as the torque that a given motion needs. The sign convention
+    of the balance is the model's, so a strength may have either sign.
     """
     when = tuple(w for w in law.when if w is not FormCondition.OWN)
     strengths = tuple(
@@ -444,7 +453,7 @@ def _as_term(law: EffectForm) -> EffectForm:
 
 _TERMS = (
     *(_as_term(law) for law in _RATES if law.kinds == _DER and law.name in _AS_TERMS),
-    # the names of their laws are those of what a sensor does to its own signal
+    # named after the laws of a sensor that changes its own signal
     EffectForm("square_feed_through", "coupling", Law.SQUARE, _OUT,
          "s + k * v^2", (_k("site / v^2"),), 1,
          when=(FormCondition.FEEDS,), order=0.5),
@@ -454,7 +463,7 @@ _TERMS = (
 )  # fmt: skip
 
 _SIGNALS = (
-    # an input that is not what was commanded, a sensor that does not show what it should
+    # an input that differs from its command, or a sensor that shows a wrong value
     EffectForm("bias", "offset", Law.OFFSET, _SIGNAL, "s + k", (_k("site"),)),
     EffectForm("drift", "offset", Law.DRIFT, _SIGNAL, "s + k * t", (_k("site / second"),)),
     EffectForm("gain", "gain", Law.GAIN, _SIGNAL, "s * (1 + k)", (_k("1"),)),
@@ -476,7 +485,7 @@ _SIGNALS = (
          "where(abs(s) > k, s - k * sign(s), 0)", (_LEVEL,)),
     EffectForm("cut_off", "nonlinearity", Law.CUT_OFF, _SIGNAL,
          "s * (1 + tanh((abs(s) - k) / width)) / 2", (_LEVEL, _EDGE), order=0.5),
-    # of an eccentric encoder or a cam
+    # for an eccentric encoder or a cam
     EffectForm("periodic", "nonlinearity", Law.PERIODIC_ERROR, _OUT,
          "s + a * sin(n * s) + b * cos(n * s)",
          _wave("site", _shape("n", "rad / site", GridScale.WAVES_V, *_WAVES)), order=1.5),
@@ -499,7 +508,7 @@ _SIGNALS = (
          "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
     EffectForm("lag_from_rest", "lag", Law.FIRST_ORDER_LAG_FROM_ZERO, _SIGNAL, "z", (_LATE,), 0,
          (OwnState("z", "(s - z) / tau", "0"),), when=(FormCondition.FROM_REST,), order=0.2),
-    # of an actuator or a sensor that swings, with a gain of 1 at rest
+    # for an actuator or a sensor that oscillates, with a static gain of 1
     EffectForm("mode", "lag", Law.SECOND_ORDER_LAG, _SIGNAL, "z", _SWINGS, 0,
          (OwnState("z", "f * y", "s"), OwnState("y", _PULLED, "0")), order=0.8),
     EffectForm("mode_from_rest", "lag", Law.SECOND_ORDER_LAG_FROM_ZERO, _IN, "z", _SWINGS, 0,
@@ -521,7 +530,7 @@ _SIGNALS = (
              _curve_coefficients(_inside(of), *_WHOLLY), order=2.0, values=of, finer_than=coarse)
         for name, of, coarse in _resolutions("characteristic")
     ),
-    # of what is not the output itself: a voltage by the charge, a reading by a temperature
+    # as a function of another variable: a voltage by the charge, a reading by a temperature
     *(
         EffectForm(name, FREE_FAMILY, Law.CURVE, _OUT, f"s + {_curve('v', _all(of), of)}",
              _curve_coefficients(_all(of), *_MOSTLY), 1, order=2.0, values=of, finer_than=coarse)
@@ -531,7 +540,7 @@ _SIGNALS = (
 )  # fmt: skip
 
 _VARIATIONS = (
-    # a parameter that varies; centred, or it would hide behind the parameter itself
+    # a parameter that varies; centred, because otherwise the parameter itself would compensate it
     EffectForm("drift", "variation", Law.DRIFT, _PAR, "s * (1 + k * (t - at))",
          (_k("1 / second"), _centre("second", GridScale.MIDDLE_T)), order=1.0),
     EffectForm("sine", "variation", Law.WAVE, _PAR, "s * (1 + a * sin(f * t) + b * cos(f * t))",
@@ -545,7 +554,7 @@ _VARIATIONS = (
     EffectForm("saturating", "variation", Law.SATURATING, _PAR,
          "s * (1 - k * abs(v) / (half + abs(v)))",
          (_k("1"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.5),
-    # of Hill with the exponent 2, and of coils and ceramic capacitors: for both signs alike
+    # Hill with exponent 2, for coils and ceramic capacitors: symmetric in the sign
     EffectForm("hill", "variation", Law.HILL, _PAR, "s * (1 - k * v^2 / (half^2 + v^2))",
          (_k("1"), _HALF), 1, order=1.5),
     EffectForm("hill_power", "variation", Law.HILL_POWER, _PAR,
@@ -558,14 +567,14 @@ _VARIATIONS = (
     EffectForm("power", "variation", Law.POWER, _PAR, "s * (max(abs(v), at / 1000) / at)^n",
          (FormCoefficient("n", unit="1"), _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1,
          when=(FormCondition.POSITIVE,), order=1.2),
-    # of a film by the flow past it (King, Nusselt), which still conducts where nothing flows
+    # for a film by the flow past it (King, Nusselt), which still conducts without flow
     EffectForm("offset_power", "variation", Law.OFFSET_POWER, _PAR,
          "s * (1 + k * ((abs(v) / at)^n - 1))",
          (_k("1"), _shape("n", "1", GridScale.EXPONENT, 0.5, 1.5, 3.0),
           _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1, order=1.4, later=True),
     EffectForm("exponential", "variation", Law.EXPONENTIAL, _PAR, "s * exp(k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.2),
-    # of a temperature: where the exponential law fits as well, this one is known from physics
+    # for a temperature: if the exponential law fits as well, this physical law is preferred
     EffectForm("arrhenius", "variation", Law.ARRHENIUS, _PAR,
          "s * exp(k * (1 / (at + zero) - 1 / (v + zero)))",
          (_k("v"), _centre("v", GridScale.MEAN_V), _ZERO), 1, order=1.1, later=True),
@@ -598,9 +607,9 @@ _NOISES = (
 PROCESS_NOISE: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f for f in _NOISES for kind in f.kinds
 }
-"""White noise q dW, at the derivative itself or at that of a state z of its own, which makes it an
-Ornstein-Uhlenbeck process. Where one is there, an extended Kalman filter takes the place of a
-simulation. A search does not try them."""
+"""Forms of process noise: white noise q dW at the derivative, or at that of an own state z, which
+is then an Ornstein-Uhlenbeck process. With such an effect, an extended Kalman filter replaces the
+simulation. A search does not try these forms."""
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f
@@ -611,7 +620,7 @@ FORMS: dict[tuple[SiteKind, str], EffectForm] = {
 
 
 def form(kind: SiteKind, name: str, where: str) -> EffectForm:
-    """Look up a form.
+    """Return the form with a given name for a kind of site.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 """Effects at outputs, applied to recorded outputs.
 
 A lag or a delay of a sensor depends on the output at all times, but the recorded output has values
-only at some times. Between them the output is interpolated. For a wave with w h radians between two
-values, the error of a straight line is (w h)^2 / 8 of the amplitude, and that of the cubic through
-the four values around an interval is 3/128 (w h)^4: with ten values per period, 5 % and 0.4 %
-(P. J. Davis, Interpolation and Approximation (1975), section 3.1).
+only at some times. Between them, the output is interpolated. Consider a wave with w h radians
+between two values. The error of a straight line is (w h)^2 / 8 of the amplitude. The error of the
+cubic through the four values around an interval is 3/128 (w h)^4. With ten values per period, this
+is 5 % and 0.4 % (P. J. Davis, Interpolation and Approximation (1975), section 3.1).
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from workers.grid import SignalGrid
 from workers.messages import FloatArray, IntArray
 
 PIECES = 8
-"""Pieces of each interval; within one a straight line will do."""
+"""Number of pieces of each interval; within a piece, a straight line is accurate enough."""
 STENCIL = 4
-"""Records that a cubic goes through."""
+"""Number of recorded values that define a cubic."""
 UNEVEN_INTERVALS = 5.0
-"""Ratio of the longest to the shortest interval above which the times are not even."""
+"""Ratio of the longest to the shortest interval above which no cubic is used."""
 
 
 def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArray]:
     """Divide each interval of a simulation into `PIECES`.
 
-    No cubic reaches across a jump of an input, where outputs have a kink, nor over intervals of
-    very different lengths: what a long one hides bends the short ones. There the lines stay
-    straight, as between two jumps with fewer than four records.
+    No cubic extends across a jump of an input, because outputs have a kink there. No cubic extends
+    over intervals of very different lengths, because its curvature in the short ones would be
+    wrong. In these cases, and between two jumps with fewer than four records, interpolation is
+    linear.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArra
     Returns
     -------
     grid, outputs : ((n - 1) PIECES + 1, y)
-        With the times of the simulation at every `PIECES`-th row, and its outputs there.
+        Every `PIECES`-th row has a time of the simulation and its outputs.
     """
     first, smooth = _stencils(grid)
     count, width = outputs.shape
@@ -69,7 +70,7 @@ def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArra
 
 
 def _stencils(grid: SignalGrid) -> tuple[IntArray, npt.NDArray[np.bool_]]:
-    """Return the first record of each interval's cubic, and where there are enough records."""
+    """Return the first record of each interval's cubic, and whether the interval has a cubic."""
     count = len(grid.times)
     intervals = np.arange(count - 1)
     breaks = np.unique([0, *np.flatnonzero(grid.jumps).tolist(), count - 1])
@@ -142,7 +143,7 @@ def _compile(
 def output_code(
     definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
 ) -> bytes:
-    """Return the byte code of an effect at an output: its start, its value, its derivatives."""
+    """Return the byte code of an effect at an output: initial states, value and derivatives."""
     own = len(definition.states)
     seen, coefficients = len(inputs) + len(recorded), len(definition.coefficients)
     ((_, equation),) = definition.equations
@@ -158,7 +159,7 @@ def output_code(
 def output_locations(
     definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
 ) -> Locations:
-    """Its inputs are those of the grid, and the outputs behind them; its result the output."""
+    """Return the array and index of each symbol; the inputs of the grid precede the outputs."""
     seen = (*inputs, *recorded)
     target = len(inputs) + recorded.index(definition.site.target)
     return {
@@ -170,5 +171,5 @@ def output_locations(
 
 
 def assigned(array: EffectArray, values: Sequence[sp.Expr]) -> list[Assignment]:
-    """Assign values to the first places of an array."""
+    """Return assignments of values to the first elements of an array."""
     return [Assignment(array, i, value) for i, value in enumerate(values)]

@@ -20,12 +20,12 @@ _PATTERNS: dict[SiteKind, str] = {
     "parameter": r"parameter (.+)",
 }
 _COMMA = re.compile(r",(?![^\[]*\])")
-"""The comma between two names: not one within brackets, as in "x[1,2]"."""
+"""A comma between two names, but not within square brackets as in "x[1,2]"."""
 
 
 @dataclass(frozen=True)
 class EffectSite:
-    """A state derivative, two of them, an input, an output or a parameter, by the FMU's names.
+    """A state derivative, a pair of them, an input, an output or a parameter, by the FMU's names.
 
     `other` is the second state of a pair.
     """
@@ -45,7 +45,7 @@ class EffectSite:
 
     @property
     def at_rates(self) -> bool:
-        """True if an effect here is added to derivatives; elsewhere it replaces a signal."""
+        """Whether an effect here is added to derivatives; elsewhere it replaces a signal."""
         return self.kind in ("derivative", "pair")
 
 
@@ -55,7 +55,7 @@ def parse_site(text: str, where: str) -> EffectSite:
     Raises
     ------
     EffectError
-        If it is none of these.
+        If the text has none of these forms.
     """
     for kind, pattern in _PATTERNS.items():
         found = re.fullmatch(pattern, text.strip())
@@ -77,10 +77,9 @@ def parse_site(text: str, where: str) -> EffectSite:
 def open_sites(
     description: ModelDescription, interface: Interface, measured: Collection[str] = ()
 ) -> list[EffectSite]:
-    """Return every site that an FMU offers; none at state derivatives in co-simulation.
+    """Return all sites that an FMU offers; in co-simulation, there are none at state derivatives.
 
-    A sensor sits on what is measured, so `measured` variables are outputs here, whatever causality
-    the FMU declares for them.
+    Variables in `measured` count as outputs, whatever causality the FMU declares for them.
     """
     variables = [v for v in description.variables.values() if v.alias_of is None]
     exchange = interface == "model_exchange"
@@ -96,9 +95,9 @@ def open_sites(
 
 
 def open_pairs(description: ModelDescription, interface: Interface) -> list[EffectSite]:
-    """Return all pairs of states between which a force can act: those of the same unit.
+    """Return all pairs of states of the same unit, between which a force can act.
 
-    An effect at a pair may name any two states; these are the ones that a search should try.
+    An effect at a pair may name any two states; a search tries only these pairs.
     """
     if interface == "co_simulation":
         return []
@@ -112,12 +111,12 @@ def open_pairs(description: ModelDescription, interface: Interface) -> list[Effe
 def check_site(
     site: EffectSite, description: ModelDescription, interface: Interface, where: str
 ) -> None:
-    """Refuse a site that the FMU does not offer.
+    """Check that the FMU offers a site.
 
     Raises
     ------
     EffectError
-        With the sites of that kind that it does offer.
+        If it does not. The message names the sites of the same kind that it offers.
     """
     offered = open_sites(description, interface, description.variables)
     parts = [EffectSite("derivative", s) for s in site.targets] if site.kind == "pair" else [site]
@@ -151,19 +150,19 @@ def difference(first: str, second: str) -> str:
 
 
 def is_difference(text: str) -> bool:
-    """Return whether a text reads as a difference; the name of a variable may do so too."""
+    """Return whether a text looks like a difference; the name of a variable may look so too."""
     return _MINUS in text
 
 
 def parts_of(text: str) -> list[str]:
-    """Return the two names of a text that reads as a difference, else the text."""
+    """Return the two names of a text that looks like a difference, otherwise the text."""
     return text.split(_MINUS)
 
 
 def split_variable(text: str, known: Container[str]) -> tuple[str, ...]:
-    """Return the name in a form's variable, the two of a difference "v - w", or none.
+    """Return the name in a form's variable, the two names of a difference "v - w", or ().
 
-    Names of FMUs may hold almost any character, so only `known` ones tell what a minus is.
+    Names in FMUs may contain a minus, so `known` names are needed to find the operator.
     """
     name = text.strip()
     if name in known:
@@ -176,15 +175,15 @@ def split_variable(text: str, known: Container[str]) -> tuple[str, ...]:
 
 
 def bracketed(text: str) -> str:
-    """Return a variable as it stands in an equation: a difference in brackets."""
+    """Return a variable as it is written in an equation: a difference in brackets."""
     return f"({text})" if is_difference(text) else text
 
 
 def own_variable(site: EffectSite) -> str:
-    """Return the variable of a form at derivatives that names none: the state, or a difference."""
+    """Return the default variable of a form at derivatives: the state, or a pair's difference."""
     return difference(*site.targets) if site.other else site.target
 
 
 def unnamed_variables(form: EffectForm, site: EffectSite) -> tuple[str, ...]:
-    """Return the variables that a form has where an effect names none."""
+    """Return the variables of a form if an effect does not name any."""
     return (own_variable(site),) if form.variables == 1 and site.at_rates else ()

@@ -1,1 +1,1 @@
-"""An FMU: its archive, what it says about itself, and one loaded instance."""
+"""An FMU: its archive, its model description, and a loaded instance."""

@@ -1,4 +1,4 @@
-"""Unpacking an FMU once on each machine, without trusting what is in it."""
+"""Unpacking of an FMU, once on each machine and with checks of its content."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ from workers.errors import ModelError
 
 MAX_UNPACKED_BYTES = 4 * 2**30
 MAX_RATIO = 200
-"""Unpacked over packed size. Text in FMUs reaches 50, a zip bomb of zeros a thousand."""
+"""Largest ratio of unpacked to packed size. Text in FMUs reaches 50, a zip bomb of zeros 1000."""
 
 HARMLESS_BYTES = 64 * 2**20
-"""Unpacked size below which the ratio does not matter."""
+"""Unpacked size below which the ratio is not checked."""
 
 DAMAGED = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, RuntimeError, ValueError
 )  # fmt: skip
-"""What zipfile raises for damaged, encrypted or unknown content."""
+"""Exceptions of zipfile for damaged, encrypted or unknown content."""
 
 
 Stamps = dict[str, tuple[int, ...] | None]
 _checked: dict[Path, Stamps] = {}
-"""What files were like that this process, or one that it was forked from, has compared."""
+"""Attributes of files that this process, or the one it was forked from, has verified."""
 
 
 def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
     """Unpack an FMU into the cache folder of this machine, unless it is there already.
 
-    Processes that do this at the same time do not meet: each unpacks into a folder of its own and
-    renames it, which is atomic. Files that are there already are compared with the archive: what is
-    damaged, or another user's, is written anew.
+    Processes can do this at the same time: each unpacks into its own folder and then renames it,
+    which is atomic. Existing files are compared with the archive. Files that are damaged or belong
+    to another user are written again.
 
     Parameters
     ----------
     name
-        The file's name, for messages.
+        Name of the file, for messages.
     archive
         The bytes of the FMU.
     archive_hash
-        Their hash, the name of the folder.
+        Their hash, which is the name of the folder.
 
     Raises
     ------
     ModelError
-        If it is no zip file, if a path in it leaves the folder, if it is suspiciously large, or if
-        the cache folder cannot be written.
+        If it is not a zip file, if a path in it leaves the folder, if it is suspiciously large, or
+        if the cache folder is not writable.
     """
     target = unpacked_folder(archive_hash)
     known = _checked.get(target)
@@ -77,17 +77,17 @@ def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
 
 
 def unpacked_folder(archive_hash: str) -> Path:
-    """Return the folder that an FMU is unpacked into on this machine."""
+    """Return the folder into which an FMU is unpacked on this machine."""
     return cache_folder("fmus") / archive_hash
 
 
 def prepare_folder() -> None:
-    """Find the folder of unpacked FMUs where other processes unpack, for `caches.notice` here."""
+    """Determine the folder of unpacked FMUs, so that `caches.notice` works in this process."""
     cache_folder("fmus")
 
 
 def _is_own_folder(target: Path) -> bool:
-    """Return whether an FMU is unpacked there; what is no folder of this user is removed."""
+    """Return whether an FMU is unpacked there; remove anything but a folder of this user."""
     try:
         found = target.lstat()
     except OSError:
@@ -99,7 +99,7 @@ def _is_own_folder(target: Path) -> bool:
 
 
 def _remove(path: Path) -> None:
-    """Remove what stands in the way, of whatever kind, as far as that can be done."""
+    """Remove a file or folder, and ignore errors."""
     shutil.rmtree(path, ignore_errors=True)
     with contextlib.suppress(OSError):
         path.unlink()
@@ -121,7 +121,7 @@ def _unwritable(name: str, folder: Path, error: OSError) -> ModelError:
 
 
 def _mend(opened: zipfile.ZipFile, target: Path) -> None:
-    """Write anew what is not as in the archive; processes that have it open keep what they have."""
+    """Rewrite files that differ from the archive; open files keep their old content."""
     for entry in _files(opened):
         file = target / entry.filename
         if _is_as_packed(file, entry):
@@ -136,7 +136,7 @@ def _mend(opened: zipfile.ZipFile, target: Path) -> None:
 
 
 def _is_as_packed(file: Path, entry: zipfile.ZipInfo) -> bool:
-    """Return whether a file is this user's and has the length and the checksum of the archive."""
+    """Return whether a file belongs to this user and has the archive's length and checksum."""
     try:
         found = file.lstat()
         if not (stat.S_ISREG(found.st_mode) and is_mine(found)):
@@ -147,12 +147,12 @@ def _is_as_packed(file: Path, entry: zipfile.ZipInfo) -> bool:
 
 
 def _files(opened: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
-    """Return the entries that are files, of several with one name the last."""
+    """Return the entries that are files; if a name occurs several times, the last entry."""
     return [entry for entry in opened.NameToInfo.values() if not entry.is_dir()]
 
 
 def _stamps(target: Path, names: Iterable[str]) -> Stamps:
-    """Return by which of their facts changed files are told; None for what is no file."""
+    """Return attributes that reveal changes of files; None for a missing file."""
     stamps: Stamps = {}
     for name in names:
         try:
@@ -165,7 +165,7 @@ def _stamps(target: Path, names: Iterable[str]) -> Stamps:
 
 
 def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) -> None:
-    """Extract an archive into a private folder, and rename that to the target."""
+    """Extract an archive into a private folder, and rename that folder to the target."""
     try:
         opened.extractall(private)
         for file in private.rglob("*"):
@@ -184,7 +184,7 @@ def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) ->
 
 
 def _write_through(file: Path) -> None:
-    """Have a file's content on the disk before its folder gets its name."""
+    """Write a file's content to the disk before its folder is renamed."""
     if file.is_file():
         handle = os.open(file, os.O_RDWR)
         try:
@@ -194,7 +194,7 @@ def _write_through(file: Path) -> None:
 
 
 def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
-    """Open an FMU's zip file and check every entry before anything is written."""
+    """Open the zip file of an FMU and check every entry before anything is written."""
     try:
         opened = zipfile.ZipFile(io.BytesIO(archive))
     except (*DAMAGED, OSError) as error:
@@ -204,7 +204,7 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
     entries = opened.infolist()
     for entry in entries:
         _check_entry(name, entry)
-        # Some tools on Windows write its separator, which the zip format forbids
+        # Some tools on Windows use backslashes, which the zip format forbids
         entry.filename = entry.filename.replace("\\", "/")
     opened.NameToInfo = {entry.filename: entry for entry in entries}
     unpacked = sum(entry.file_size for entry in entries)

@@ -1,6 +1,6 @@
 """Dependencies of an FMU's shared library, read from its file, to explain why it does not load.
 
-pyelftools reads the file; where libraries are searched for is from the manual page ld.so(8).
+pyelftools reads the file; the search rules are those of the manual page ld.so(8).
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class _ElfLibrary:
     machine: str
     needed: tuple[str, ...]
     folders: tuple[str, ...]
-    """Where it tells to look for them."""
+    """Folders in which the library declares that its dependencies are."""
 
 
 def missing_libraries(binary: Path) -> tuple[str, ...]:
-    """Names of the shared libraries that a library needs and this machine would not find.
+    """Return the shared libraries that a library needs and that this machine would not find.
 
-    Those that lie where the library itself tells to look are followed. Nothing is loaded. Empty if
-    the file is no ELF library, or this is not Linux.
+    Dependencies in folders that a library declares are followed recursively. Nothing is loaded. The
+    result is empty if the file is not an ELF library, or if this system is not Linux.
     """
     if not sys.platform.startswith("linux"):
         return ()
@@ -71,19 +71,19 @@ def missing_libraries(binary: Path) -> tuple[str, ...]:
 
 
 def load_failure(binary: Path, system_message: str = "") -> str | None:
-    """Explain why a library cannot be loaded here and what to do, as the end of a sentence.
+    """Return the end of a sentence that explains why a library cannot be loaded, with advice.
 
     Parameters
     ----------
     binary
         The FMU's library.
     system_message
-        The system's message when it was loaded.
+        The system's message from the attempt to load it.
 
     Returns
     -------
     str | None
-        None where nothing is known but what the system said.
+        None if nothing more than the system's message is known.
     """
     elf = _read(binary)
     if elf is None:
@@ -118,7 +118,7 @@ def load_failure(binary: Path, system_message: str = "") -> str | None:
 
 
 def is_about_licence(text: str) -> bool:
-    """Return whether a message of an FMU says that a licence was refused."""
+    """Return whether an FMU's message reports a refused licence."""
     return bool(_LICENCE.search(text) and _REFUSAL.search(text))
 
 
@@ -130,12 +130,12 @@ def _read(path: Path) -> _ElfLibrary | None:
     try:
         with path.open("rb") as file:
             return _parse(ELFFile(file))
-    except Exception:  # a damaged file may break the parser in any way; then nothing is known of it
+    except Exception:  # a damaged file may raise any exception in the parser
         return None
 
 
 def _parse(elf: ELFFile) -> _ElfLibrary | None:
-    """Read what the system's loader reads: segments, and no sections, which may be damaged."""
+    """Read only the segments, as the system's loader does; the sections may be damaged."""
     elf.header["e_shoff"] = 0
     tags: list[DynamicTag] = []
     segment = next(elf.iter_segments(type="PT_DYNAMIC"), None)
@@ -144,7 +144,7 @@ def _parse(elf: ELFFile) -> _ElfLibrary | None:
         tags = list(islice(segment.iter_tags(), most))
     needed = _texts(tags, "NEEDED")
     paths = [*_texts(tags, "RPATH"), *_texts(tags, "RUNPATH")]
-    if "" in needed:  # a name that lies beyond the end of the file
+    if "" in needed:  # the name lies beyond the end of the file
         return None
     machine = elf["e_machine"]
     return _ElfLibrary(
@@ -159,7 +159,7 @@ def _texts(tags: list[DynamicTag], kind: str) -> list[str]:
 
 
 def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
-    """Return the library's path in the folders that the one that needs it declares."""
+    """Return the path of a dependency in the folders that a library declares, or None."""
     if "/" in name:
         return Path(name) if Path(name).is_file() else None
     origin = str(path.parent)
@@ -176,7 +176,7 @@ def _is_installed(name: str) -> bool:
         if b"\0" + name.encode() + b"\0" in _CACHE.read_bytes():
             return True
     except OSError:
-        pass  # systems without a cache have their folders alone
+        pass  # a system without this cache
     machine = platform.machine()
     given = [f for f in os.environ.get("LD_LIBRARY_PATH", "").split(":") if f]
     usual = [*_FOLDERS, f"/lib/{machine}-linux-gnu", f"/usr/lib/{machine}-linux-gnu"]

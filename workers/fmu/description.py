@@ -1,12 +1,12 @@
 """The model description of an FMU: its variables, interfaces and structure.
 
-`fmpy.read_model_description` is not used, because it takes a description whole or not at all, and
-much that tools export has a fault that does not matter. Of 125 harmed descriptions that are read
-here with a warning or none, it reads 26, and 84 without validation; the others end in a KeyError,
-TypeError, IndexError, AttributeError, UnboundLocalError or XMLSyntaxError, which tell an author
-nothing: for a reference that no variable has, an unknown type, a missing ModelVariables, an
-undeclared XML prefix, FMI 3.1. It reads a model identifier that leads out of the archive, and
-without validation a model without a guid or the derivative of one state listed twice.
+`fmpy.read_model_description` is not used, because it refuses a description with any fault, and many
+exported descriptions have a harmless fault. Of 125 faulty descriptions that are read here with at
+most a warning, it reads 26, and 84 without validation. The others end in a KeyError, TypeError,
+IndexError, AttributeError, UnboundLocalError or XMLSyntaxError, which do not help an author.
+Examples are a reference without a variable, an unknown type, a missing ModelVariables, an
+undeclared XML prefix, and FMI 3.1. It accepts a model identifier that leads out of the archive.
+Without validation, it accepts a model without a guid, or a state whose derivative is listed twice.
 """
 
 from __future__ import annotations
@@ -45,38 +45,37 @@ class ModelDescription:
     Attributes
     ----------
     file
-        The file's name, for messages.
+        Name of the file, for messages.
     version
-        Of FMI.
+        Version of FMI.
     guid
-        What must be handed over to instantiate it; FMI 3 calls it the instantiation token.
+        Identifier that is required to instantiate the FMU; in FMI 3, the instantiation token.
     tool
-        What exported it; "" if it does not say.
+        Tool that exported the FMU; "" if unknown.
     offers
-        The interfaces that can be used. One whose description cannot be used is left out, with a
-        warning.
+        The usable interfaces. An interface with an unusable description is omitted, with a warning.
     variables
-        By name. An array x of FMI 3 is there as its elements, "x[1]" or "x[2,1]".
+        Variables by name. An array x of FMI 3 is represented by its elements, "x[1]" or "x[2,1]".
     states
         Names of the continuous states, in the order of the FMU's state vector.
     outputs
         Names of the outputs, in the order of the FMU's own list.
     dependencies
-        Of outputs and state derivatives.
+        Dependencies of outputs and state derivatives.
     files
         Names of binaries and sources in the archive.
     interpolates_inputs, variable_steps, has_event_mode, fixed_internal_step
-        Of the co-simulation interface. The last in seconds, None if it names none.
+        Capabilities of the co-simulation interface. The last is in seconds; None if not declared.
     completes_steps
-        Whether the model exchange interface is to be told of each completed step.
+        Whether the model exchange interface must be notified of each completed step.
     once_per_process
-        Whether any interface says so.
+        Whether any interface can be instantiated only once in a process.
     default_start, default_stop, default_step, default_tolerance
-        Seconds, and a relative tolerance; None where the FMU names none.
+        Seconds, and a relative tolerance; None if not declared.
     warnings
-        A sentence for each fault that was read around.
+        A sentence for each tolerated fault.
     units
-        Definitions of units by name, for those that the FMU defines by base units.
+        Definitions by name of the units that the FMU defines by base units.
     """
 
     file: str
@@ -109,7 +108,7 @@ class ModelDescription:
 
     @property
     def platforms(self) -> tuple[str, ...]:
-        """Platforms that it has a folder of binaries for, as the folders are called."""
+        """Platforms with a folder of binaries, by the names of the folders."""
         return platforms_in(self.files)
 
     @property
@@ -117,11 +116,11 @@ class ModelDescription:
         return any(name.startswith("sources/") and name.endswith(".c") for name in self.files)
 
     def offer(self, interface: Interface) -> InterfaceOffer:
-        """Return the capabilities of one of its interfaces."""
+        """Return the capabilities of an interface."""
         return next(offer for offer in self.offers if offer.interface == interface)
 
     def variable(self, name: str, where: str) -> ModelVariable:
-        """Look up a variable; `where` opens the message if no variable has that name."""
+        """Return a variable by name; `where` is the start of the message if there is none."""
         if name not in self.variables:
             first = next((n for n in self.variables if n.startswith(f"{name}[")), None)
             ending = nearest(name, self.variables)
@@ -133,22 +132,22 @@ class ModelDescription:
         return self.variables[name]
 
     def holds(self, name: str) -> bool:
-        """Return whether an input changes at events alone, so that it is held between samples."""
+        """Return whether an input changes only at events, so it is held between samples."""
         variable = self.variables.get(name)
         return variable is not None and not variable.is_continuous
 
     def inputs(self) -> list[ModelVariable]:
-        """The inputs, without further names of the same."""
+        """Return the inputs, without aliases."""
         inputs = (v for v in self.variables.values() if v.causality == "input")
         return [v for v in inputs if v.alias_of is None]
 
     def check_platform(self, interface: Interface) -> None:
-        """Refuse an FMU that has no binary for this machine.
+        """Check that the FMU has a binary for this machine.
 
         Raises
         ------
         ModelError
-            With what it has instead and what can be done.
+            If it has none. The message names the available platforms and gives advice.
         """
         identifier = self.offer(interface).identifier
         fault = missing_binary(self.version, identifier, self.files, self.has_sources)
@@ -157,7 +156,7 @@ class ModelDescription:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return the end of a message: the known name nearest to a misspelt one, or all of them."""
+    """Return the end of a message: the known name closest to a misspelt one, or all names."""
     names = [str(k) for k in known]
     lowered = {k.lower(): k for k in names}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.5)
@@ -174,13 +173,13 @@ def describe(
 ) -> ModelDescription:
     """Read the model description of an FMU.
 
-    Harmless faults are read around and noted in `ModelDescription.warnings`.
+    Harmless faults are tolerated and listed in `ModelDescription.warnings`.
 
     Parameters
     ----------
     structural
-        Values of structural parameters (FMI 3) that differ from their start values: they decide
-        how many elements arrays have.
+        Values of structural parameters (FMI 3) that differ from their start values. They determine
+        the sizes of arrays.
 
     Raises
     ------
@@ -239,7 +238,7 @@ def describe(
 
 
 def describe_model(model: Model) -> ModelDescription:
-    """Read the model description of a model that a worker is sent."""
+    """Read the model description of a worker's model."""
     return describe(model.name, model.archive, dict(model.structure))
 
 

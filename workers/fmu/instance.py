@@ -1,4 +1,4 @@
-"""One loaded, instantiated FMU: fmpy loads it, the core calls it by address.
+"""A loaded FMU instance: fmpy loads it, the core calls its functions by address.
 
 Its messages are collected.
 """
@@ -33,19 +33,19 @@ from workers.messages import Model
 
 _logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
 _shown: set[str] = set()
-"""Instances whose messages are shown."""
+"""Instances whose messages are also written to stderr."""
 _STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
 def _log(_environment: object, instance: bytes, status: int, _category: bytes, text: bytes) -> None:
-    """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
+    """Receive a message from any instance; fmpy's proxy has one logger for all of them."""
     _append((instance or b"").decode(errors="replace"), status, text)
 
 
 def open_log(name: str, log: deque[str], *, shown: bool) -> None:
-    """Collect the messages of an instance in `log`, for as long as that is in use.
+    """Collect the messages of an instance in `log`, as long as `log` exists.
 
-    If `shown`, they go to stderr too.
+    If `shown`, write them to stderr too.
     """
     _logs[name] = log
     if shown:
@@ -60,7 +60,7 @@ def log_message_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
 def _append(name: str, status: int, message: bytes) -> None:
     text = (message or b"").decode(errors="replace").strip()
     log = _logs.get(name.strip())
-    if log is None and len(_logs) == 1:  # some FMUs name no instance, or another one
+    if log is None and len(_logs) == 1:  # some FMUs give no instance name, or another one
         log = next(iter(_logs.values()), None)
     if log is not None and status > 0:
         log.append(text)
@@ -71,7 +71,7 @@ def _append(name: str, status: int, message: bytes) -> None:
 
 
 def make_callbacks() -> ctypes.Structure:
-    """Make the callbacks of FMI 2.0, and the logger of all its instances in this process."""
+    """Return the callbacks of FMI 2.0, whose logger serves all instances in this process."""
     from ctypes import byref
 
     from fmpy import calloc, free
@@ -134,9 +134,9 @@ _OPTIONAL = {
     "set_real_input_derivatives",
     "get_directional_derivative",
 }
-"""Fields of functions that are called only where the description promises them."""
+"""Fields of functions that are called only if the model description declares them."""
 _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
-"""Names in FMI 2.0 of those types that it has."""
+"""Names in FMI 2.0 of the types that it supports."""
 
 
 class FunctionTable:
@@ -147,7 +147,7 @@ class FunctionTable:
     fmu
         The instance as an object of fmpy.
     model, description
-        What it was made from.
+        Its model and model description.
     """
 
     def __init__(self, fmu: Any, model: Model, description: ModelDescription) -> None:
@@ -159,7 +159,7 @@ class FunctionTable:
         Raises
         ------
         ModelError
-            If a function is missing, or sizes are not as the description says.
+            If a function is missing, or sizes differ from the model description.
         """
         description, exchange = self._description, self._model.interface == "model_exchange"
         version = 2 if description.version == "2.0" else 3
@@ -185,7 +185,7 @@ class FunctionTable:
             version=version,
             interpolates_inputs=description.interpolates_inputs,
             completes_steps=description.completes_steps,
-            # an input that jumps may be an event for it
+            # an input that jumps may cause an event
             eventful=description.event_indicators > 0
             or any(v.variability == "discrete" for v in description.variables.values()),
             **found,
@@ -196,7 +196,7 @@ class FunctionTable:
         return component
 
     def _check_counts(self) -> None:
-        """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""
+        """Check the numbers of states and event indicators in FMI 3.0, so that no event is lost."""
         described = self._description
         counted = {
             "EventIndicators": ("event indicators", described.event_indicators),
@@ -212,14 +212,14 @@ class FunctionTable:
                 )
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call a function of the FMU that fills in its last argument; nothing if it has none."""
+        """Call a function of the FMU that writes to its last argument, unless it is missing."""
         if address := self._address(name):
             types = [c_void_p] * (1 + len(arguments))
             types[1:-1] = [type(argument) for argument in arguments[:-1]]
             ctypes.CFUNCTYPE(ctypes.c_int, *types)(address)(self._fmu.component, *arguments)
 
     def _address(self, name: str) -> int:
-        """Return the address of a function of the FMU; 0 if it has none."""
+        """Return the address of a function of the FMU; 0 if it is missing."""
         whole = f"fmi{self._description.version[0]}{name}"
         function = getattr(self._fmu.dll, whole, None)
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
@@ -232,10 +232,10 @@ _CLASSES = {
     ("3.0", "co_simulation"): FMU3Slave,
 }
 _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
-"""Kinds of status of FMI 2.0's co-simulation."""
+"""Kinds of status in FMI 2.0's co-simulation."""
 _NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda _handle: 0)
 _NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
-"""What stands for the reset of an instance that is new."""
+"""Replacement of the reset function for a new instance."""
 
 _load_lock = threading.Lock()
 _instance_count = 0
@@ -243,17 +243,17 @@ _abandoned: list[Any] = []
 
 
 def instances_made() -> int:
-    """Return the number of instances of FMUs that this process has made so far."""
+    """Return the number of FMU instances that this process has made so far."""
     return _instance_count
 
 
 class FmuInstance:
-    """An instance of an FMU, ready to be reset and simulated again and again.
+    """An instance of an FMU, which can be reset and simulated repeatedly.
 
     Parameters
     ----------
     model, description
-        What to load.
+        The FMU to load.
 
     Raises
     ------
@@ -274,14 +274,14 @@ class FmuInstance:
 
     @property
     def is_new(self) -> bool:
-        """True until a simulation begins with it; of one that was freed, the next will be."""
+        """Whether no simulation has used the instance; also true after it was freed."""
         return self._is_freed or not self._is_used
 
     def begin(self) -> Fmu:
-        """Return the instance for a simulation, the first of which needs no reset.
+        """Return the instance for a simulation; the first simulation needs no reset.
 
-        The standard allows a reset of an instance that was never initialised, but hardly any tool
-        does it, and some FMUs crash in it or compute nonsense afterwards.
+        The standard allows the reset of an instance that was never initialised, but hardly any tool
+        uses it. Some FMUs crash in it or give wrong results afterwards.
 
         Raises
         ------
@@ -298,7 +298,7 @@ class FmuInstance:
         return component
 
     def begin_anew(self) -> Fmu:
-        """Return an instance with which nothing was simulated.
+        """Return an instance that no simulation has used.
 
         Raises
         ------
@@ -311,17 +311,17 @@ class FmuInstance:
         return self.begin()
 
     def replace(self) -> None:
-        """Replace the instance by a fresh one: all that is left after a fatal error.
+        """Replace the instance by a new one, which is the only way to continue after a fatal error.
 
-        The old one is not freed here, because the standard forbids any further call to it. Unless
-        it was freed before it is kept, because it may still call its logger. Where the number of
-        instances is limited it also keeps its seat, and there is no other one in this process.
+        The old instance is not freed here, because the standard forbids any further call to it. It
+        is kept unless it was freed before, because it may still call its logger. If the number of
+        instances is limited, it also keeps its seat, and this process makes no other instance.
         """
         if not (self._is_freed or self._is_spent):
             _abandoned.append(self.fmu)
             if self._seat is not None:
                 self._seat.lose()
-                self._is_spent = True  # to be told by `begin`: the failure itself counts first
+                self._is_spent = True  # reported by `begin`: the failure itself is reported first
                 return
         self.fmu = self._load()
         self._is_freed = self._is_used = False
@@ -330,7 +330,7 @@ class FmuInstance:
     def termination_time(self) -> float | None:
         """Return the time at which the FMU terminated, after it has discarded a step.
 
-        None if it did not terminate. Of FMI 2.0; in 3.0 a step says this itself.
+        None if it did not terminate. This applies to FMI 2.0; in 3.0, the step itself returns it.
         """
         terminated, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
         if self._description.version == "2.0":
@@ -359,7 +359,7 @@ class FmuInstance:
                     self._seat.give_back()
 
     def _load(self) -> Any:
-        """Load it, once there is a seat for it where the number of instances is limited."""
+        """Load the FMU, after taking a seat if the number of instances is limited."""
         seats = self._model.seats
         self._seat = None if seats is None else Seat(seats, self._model.name)
         try:
@@ -370,7 +370,7 @@ class FmuInstance:
             raise
 
     def _load_seated(self) -> Any:
-        """Load it with fmpy's class for its version and interface."""
+        """Load the FMU with fmpy's class for its version and interface."""
         version, interface = self._description.version, self._model.interface
         model_class = _CLASSES[version, interface]
         identifier = self._description.offer(interface).identifier
@@ -381,7 +381,7 @@ class FmuInstance:
         tell_of_first_instance()
         open_log(name, self.log, shown=self._model.logging_on)
         try:
-            # fmpy leaves the working folder while it loads a library
+            # fmpy changes the working folder while it loads a library
             with _load_lock, contextlib.chdir(os.getcwd()), kept_signal_handlers():
                 fmu = model_class(
                     guid=self._description.guid,
@@ -402,13 +402,13 @@ class FmuInstance:
             fmu.instantiate(loggingOn=self._model.logging_on, **how)
         except Exception:
             if not self.log and not self._description.once_per_process:
-                with contextlib.suppress(Exception):  # some say why only if they are to talk
+                with contextlib.suppress(Exception):  # some FMUs give the reason only with logging
                     fmu.instantiate(loggingOn=True, **how)
-                    fmu.freeInstance()  # nobody would, and it may hold a licence
+                    fmu.freeInstance()  # it may hold a licence
             raise
 
     def _load_failure(self, error: Exception) -> str:
-        """Explain why the FMU could not be loaded, and what to do."""
+        """Return a message that explains why the FMU could not be loaded, with advice."""
         identifier = self._description.offer(self._model.interface).identifier
         binary = self._folder / binary_path(self._description.version, identifier)
         cause = load_failure(binary, str(error))

@@ -1,4 +1,4 @@
-"""The <ModelVariables> of a model description, FMI 2 and 3."""
+"""The <ModelVariables> of a model description of FMI 2 or 3."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from workers.fmu.xml import (
 )
 
 MAX_ELEMENTS = 1_000_000
-"""Elements of all arrays together. What is beyond has no names."""
+"""Largest number of elements of all arrays together; further arrays are left out."""
 
 
 class ArraySizes:
-    """The dimensions of arrays, which may be numbers or structural parameters."""
+    """The dimensions of arrays, which are numbers or structural parameters."""
 
     def __init__(self, raws: list[RawVariable], structural: Mapping[str, int]) -> None:
         self._left = MAX_ELEMENTS
@@ -39,7 +39,7 @@ class ArraySizes:
                 self._known.setdefault(raw.reference, given)
 
     def shape(self, raw: RawVariable, notes: ReadingNotes) -> tuple[int, ...] | None:
-        """Return its shape, () for a scalar; None, with a note, for an array to be left out."""
+        """Return the shape, () for a scalar; None, with a note, for an array to be left out."""
         sizes: list[int] = []
         for dimension in raw.own.findall("Dimension"):
             size = whole(dimension.get("start"))
@@ -66,7 +66,7 @@ def _reference(element: Element) -> int:
 def elements_of(
     raw: RawVariable, scalar: ModelVariable, shape: tuple[int, ...], notes: ReadingNotes
 ) -> tuple[ModelVariable, ...]:
-    """Return one variable for each element, with its start value."""
+    """Return a variable for each element, with its start value."""
     texts = [] if scalar.kind in ("string", "binary", "clock") else _starts(raw, shape)
     starts: list[float | None] = [_start(text, scalar, notes) for text in texts]
     if not shape:
@@ -124,12 +124,13 @@ _INITIALS = ("exact", "approx", "calculated")
 
 @dataclass(frozen=True)
 class DeclaredVariables:
-    """All variables, and their names by the numbers that the description refers to them by.
+    """All variables, and their names by the keys that the model description uses.
 
     Attributes
     ----------
     variables
-        By name, array elements and aliases on their own, in the order of the description.
+        By name, with array elements and aliases as separate entries, in the order of the
+        description.
     names_by_key
         Position of a variable (FMI 2, from 1) or value reference (FMI 3) -> names of its elements.
     """
@@ -177,7 +178,7 @@ def read_variables(
 def _scalar(
     raw: RawVariable, version: Version, types: Mapping[str, Element], notes: ReadingNotes
 ) -> ModelVariable:
-    """Return the variable as if it were no array and without a start value."""
+    """Return the variable as a scalar and without a start value."""
     own, value, name = raw.own, raw.value, raw.name
     kind = KINDS[XML_TYPES[version][raw.tag]]
     wanted = value.get("declaredType")
@@ -274,13 +275,13 @@ def _add_derivatives(
 
 
 def _add_aliases(found: dict[str, ModelVariable], version: Version) -> None:
-    """Add the names that share a value. FMI 2 counts references for each type on its own."""
+    """Add the names that share a value. In FMI 2, each type has its own value references."""
     names_by_value: dict[tuple[str, int, int], list[str]] = {}
     for v in found.values():
         family = v.type if version == "2.0" else ""
         names_by_value.setdefault((family, v.reference, v.element), []).append(v.name)
     for names in names_by_value.values():
         if len(names) > 1:
-            aliases = tuple(names)  # one tuple for all: thousands may share a constant
+            aliases = tuple(names)  # one shared tuple, because thousands may alias a constant
             for name in names:
                 found[name] = replace(found[name], aliases=aliases)

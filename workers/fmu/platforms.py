@@ -1,4 +1,4 @@
-"""Platforms of an FMU's binaries, and of this machine."""
+"""Platforms of an FMU's binaries, and the platform of this machine."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import fmpy
 from workers.fmu.xml import Version
 
 PLATFORM: str = fmpy.platform
-"""This machine's platform in FMI 2.0's names."""
+"""This machine's platform in the names of FMI 2.0."""
 PLATFORM_TUPLE: str = fmpy.platform_tuple
-"""This machine's platform in FMI 3.0's names."""
+"""This machine's platform in the names of FMI 3.0."""
 _SUFFIXES = {"win": ".dll", "darwin": ".dylib"}
 _SUFFIX: str = fmpy.sharedLibraryExtension
 _BITS_32 = ("linux32", "win32", "darwin32", "x86-linux", "x86-windows", "i686-linux")
 
 
 def platform_for(version: Version) -> str:
-    """Return this machine's platform, as that version of FMI calls the folder of its binaries."""
+    """Return this machine's platform, in the folder names of a version of FMI."""
     return PLATFORM if version == "2.0" else PLATFORM_TUPLE
 
 
@@ -29,7 +29,7 @@ def platforms_in(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def shared_library(name: str, platform: str) -> str:
-    """Return the name of a shared library for a platform, as FMI 2.0 calls it."""
+    """Return the file name of a shared library for a platform in the names of FMI 2.0."""
     if platform == PLATFORM:
         return f"{name}{_SUFFIX}"
     return name + next((s for system, s in _SUFFIXES.items() if platform.startswith(system)), ".so")
@@ -43,9 +43,9 @@ def binary_path(version: Version, identifier: str) -> str:
 def missing_binary(
     version: Version, identifier: str, names: Iterable[str], has_sources: bool
 ) -> str | None:
-    """Explain why an FMU has nothing that this machine can load: a sentence without its beginning.
+    """Return the end of a sentence that explains why this machine cannot load an FMU.
 
-    None if it has its binary. `names` are the archive's files.
+    None if the FMU has a binary for it. `names` are the archive's files.
     """
     held = frozenset(names)
     wanted, path = platform_for(version), binary_path(version, identifier)

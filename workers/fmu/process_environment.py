@@ -1,7 +1,6 @@
-"""What an FMU finds around it in its process, and what it may change there.
+"""The environment of an FMU in its process: variables, working folder, memory and signal handlers.
 
-It finds environment variables, a working folder and the memory. Some FMUs replace the process's own
-handlers of signals: Ctrl-C would do nothing.
+Some FMUs replace the signal handlers of the process, so that Ctrl-C would have no effect.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ READ_AT_START = (
     *("LD_", "DYLD_", "MALLOC_", "GLIBC_", "PYTHON"),
     *("OPENBLAS_", "OMP_", "MKL_"),
 )
-"""How environment variables begin that a process, or a library, reads only when it starts."""
+"""Prefixes of environment variables that a process or library reads only at its start."""
 
 
 def set_environment_here(model: Model) -> None:
-    """Set an FMU's environment variables in this process, which is not the FMU's alone.
+    """Set an FMU's environment variables in this process, which also runs other code.
 
-    They stay set, for whatever else is in it.
+    They remain set.
 
     Raises
     ------
     ModelError
-        If one is something else already, or would come too late.
+        If a variable already has another value, or cannot take effect after the start.
     """
     elsewhere = 'choose executor.name = "processes" or "ray"'
     for name, value in model.environment:
@@ -58,7 +57,7 @@ def set_environment_here(model: Model) -> None:
 
 
 def enter_working_folder(model: Model) -> None:
-    """Make an FMU's working folder that of this process, which must be the FMU's alone.
+    """Change to an FMU's working folder in this process, which runs only this FMU.
 
     Raises
     ------
@@ -82,18 +81,18 @@ _to_be_told: list[Callable[[], None]] = []
 
 
 def before_first_instance(call: Callable[[], None]) -> None:
-    """Have something called before this process loads an FMU for the first time from now on."""
+    """Register a function that is called once before this process loads its next FMU."""
     _to_be_told.append(call)
 
 
 def tell_of_first_instance() -> None:
-    """Call who is to be told that an FMU is about to be loaded here."""
+    """Call the functions registered by `before_first_instance`."""
     while _to_be_told:
         _to_be_told.pop()()
 
 
 def resident_bytes(process: int | str) -> int:
-    """Bytes that a process has in memory; 0 where the system does not say."""
+    """Return the bytes that a process has in memory; 0 if the system does not report it."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
     except (OSError, IndexError, ValueError):
@@ -105,19 +104,19 @@ KEPT_SIGNALS = tuple(
     int(getattr(signal, name)) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 SIGACTION_BYTES = 512
-"""Bytes: more than a struct sigaction has on any system."""
+"""Buffer size in bytes, larger than a struct sigaction on any system."""
 _ADDRESS = ctypes.c_size_t
-"""Of a struct sigaction what is first, the handler; its flags are the library's own."""
+"""Type of the first field of a struct sigaction, the handler; the C library may set its flags."""
 PAUSE = 0.05
-"""Seconds for which an FMU's handlers may stay."""
+"""Seconds for which an FMU's handlers may stay in place."""
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform != "win32" else None
 
 
 class _SignalHandlers:
-    """The handlers before any thread has called an FMU, as long as one does.
+    """The signal handlers from before any thread called an FMU, kept while a thread calls one.
 
-    Once an FMU has replaced them, a thread gives them back during further calls too: most FMUs that
-    do it do so at every initialisation, and then Ctrl-C would be lost in a slow simulation.
+    Once an FMU has replaced them, a thread also restores them during later calls. Most such FMUs
+    replace them at every initialisation, and Ctrl-C would then be lost in a slow simulation.
     """
 
     def __init__(self) -> None:
@@ -132,7 +131,7 @@ class _SignalHandlers:
         self._guard: threading.Thread | None = None
 
     def __enter__(self) -> None:
-        """Remember the handlers, if no other thread is inside."""
+        """Save the handlers if no other thread is inside."""
         with self._lock:
             if self._inside == 0:
                 for number, room, _ in self._places:
@@ -142,7 +141,7 @@ class _SignalHandlers:
                 self._entered.set()
 
     def __exit__(self, *_: object) -> None:
-        """Put the handlers back, and see to it that they are guarded if they were others."""
+        """Restore the handlers, and start a guard thread if they had been replaced."""
         with self._lock:
             self._inside -= 1
             replaced = self._put_back()
@@ -155,7 +154,7 @@ class _SignalHandlers:
                 self._guard.start()
 
     def _put_back(self) -> bool:
-        """Put the handlers back; return whether there were others."""
+        """Restore the handlers; return whether they had been replaced."""
         replaced = False
         for number, room, found in self._places:
             _sigaction(number, room, found)
@@ -184,11 +183,11 @@ _BEFORE = _SignalHandlers()
 
 
 def kept_signal_handlers() -> contextlib.AbstractContextManager[None]:
-    """Return a context that puts the handlers back at its end that were there at its beginning.
+    """Return a context at whose end the signal handlers are the same as at its beginning.
 
-    From Python only the main thread could, and would not see what C code has changed. Where several
-    threads are inside, the beginning is that of the first: a later one would take an FMU's handlers
-    for those of the process. From the second time on that an FMU replaces them they are put back
-    while it runs, too.
+    In Python, only the main thread could restore them, and changes by C code are invisible. If
+    several threads are inside, the handlers of the first thread's beginning are restored. A later
+    thread might otherwise save an FMU's handlers. From the second time on that an FMU replaces
+    them, they are also restored while it runs.
     """
     return contextlib.nullcontext() if _C_LIBRARY is None else _BEFORE

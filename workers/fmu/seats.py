@@ -1,8 +1,8 @@
-"""Taking a seat, without which no instance is made where their number is limited.
+"""Seats, one of which each instance needs if the number of instances is limited.
 
-A seat is a file that whoever has the instance keeps locked. The system gives the lock back when a
-process ends, however that happens: a new instance waits until the old one is gone, even if nobody
-else knows any more what has become of the process that had it.
+A seat is a file that the owner of the instance keeps locked. The system releases the lock when a
+process ends for any reason. So a new instance waits until the old one no longer exists, even if its
+process was killed.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from workers.errors import ModelError
 from workers.messages import Seats
 
 WAIT_SECONDS = 120.0
-"""Seconds for which a seat is waited that another process has: one that was killed is gone long
-before."""
+"""Longest time in seconds to wait for a seat of another process. A killed process releases its
+seat much earlier."""
 SEAT_POLL_SECONDS = 0.01
 
 _lock = threading.Lock()
 _taken: dict[tuple[str, int], BaseFileLock] = {}
 _lost: set[tuple[str, int]] = set()
-"""Seats of this process, and those of them whose instance can never be freed."""
+"""Seats of this process, and those among them whose instance can never be freed."""
 
 
 class Seat:
@@ -39,42 +39,43 @@ class Seat:
     Parameters
     ----------
     seats
-        Of which one is taken. Those that this process has already are not waited for.
+        Seats from which one is taken. Seats that this process already has are not waited for.
     file
-        The FMU's name, for messages.
+        Name of the FMU, for messages.
 
     Raises
     ------
     ModelError
-        If this process has them all, if nobody gives one back, or if no file can be locked here.
+        If this process has all of them, if no other process releases one, or if files cannot be
+        locked here.
     """
 
     def __init__(self, seats: Seats, file: str) -> None:
         self._key = _take(seats, file)
 
     def give_back(self) -> None:
-        """Let another instance have it: this one was freed, or could not be made."""
+        """Release the seat, because the instance was freed or could not be made."""
         with _lock:
             _taken.pop(self._key).release()
 
     def lose(self) -> None:
-        """Keep it until this process ends: its instance must not be called any more."""
+        """Keep the seat until this process ends, because its instance must not be called again."""
         with _lock:
             _lost.add(self._key)
 
 
 def has_lost(seats: Seats | None) -> bool:
-    """Return whether an instance on one of these seats can only go with this process."""
+    """Return whether an instance on one of these seats can only be freed by ending the process."""
     return seats is not None and any((seats.program, n) in _lost for n in seats.numbers)
 
 
 def program_seats(count: int) -> Seats:
-    """Return the seats of this program for so many instances, but those that it has lost.
+    """Return this program's seats for `count` instances, without the lost ones.
 
     Raises
     ------
     ModelError
-        If none is left.
+        If no seat remains.
     """
     program = _program(os.getpid())
     left = tuple(number for number in range(count) if (program, number) not in _lost)
@@ -87,13 +88,13 @@ def program_seats(count: int) -> Seats:
 
 
 def seats_folder(program: str) -> Path:
-    """Return the folder in which a program's seats are files, on this machine."""
+    """Return the folder that contains a program's seats on this machine."""
     return Path(tempfile.gettempdir()) / f"cluster-est-seats-{program}"
 
 
 @cache
 def _program(process: int) -> str:
-    """Return a name that no other program has; a fork of a program is another one."""
+    """Return a unique name of this program; a fork of a program is another program."""
     name = f"{process}-{uuid.uuid4().hex}"
     atexit.register(shutil.rmtree, seats_folder(name), ignore_errors=True)
     return name

@@ -15,15 +15,15 @@ from workers.messages import Interface
 
 @dataclass(frozen=True)
 class VariableDependency:
-    """Dependencies of an output or a state derivative, as the FMU declares them.
+    """Dependencies of an output or a state derivative, as declared by the FMU.
 
     Attributes
     ----------
     name
-        The output or derivative: of the latter the variable, such as "der(v)", not its state.
-        Derivatives come in the order of `ModelStructure.states`.
+        The output or derivative. For a derivative, it is the variable, such as "der(v)", not the
+        state. Derivatives come in the order of `ModelStructure.states`.
     on
-        Names of states, inputs and others. None: not declared, so it may be anything.
+        Names of states, inputs and others. None if not declared, so it may depend on anything.
     """
 
     name: str
@@ -40,11 +40,12 @@ class ModelStructure:
     states
         Names of the continuous states, in the order of the FMU's state vector.
     event_indicators
-        Their number.
+        Number of event indicators.
     outputs
         Names of the outputs, in the order of the structure.
     fault
-        Why the states cannot be integrated by others, as the end of a sentence; "" if they can.
+        Why the states cannot be integrated outside the FMU, as the end of a sentence; "" if
+        they can.
     """
 
     states: tuple[str, ...]
@@ -58,7 +59,7 @@ class ModelStructure:
 class _StructureUnknown:
     element: Element
     names: tuple[str, ...] | None
-    """None if it names no variable."""
+    """None if it does not name a variable."""
 
 
 _PATHS = {
@@ -73,7 +74,7 @@ _PATHS = {
 def read_structure(
     root: Element, version: Version, declared: DeclaredVariables, notes: ReadingNotes
 ) -> ModelStructure:
-    """Read the structure; where it is missing, derivatives are taken in their variables' order."""
+    """Read the structure; if it is missing, take derivatives in the order of their variables."""
     section = root.find("ModelStructure")
     if section is None:
         section = Element("ModelStructure")
@@ -114,7 +115,7 @@ def _unknowns(
 def _states(
     derivatives: list[_StructureUnknown], declared: DeclaredVariables, notes: ReadingNotes
 ) -> tuple[tuple[str, ...], str]:
-    """Return the states, and their fault, if any."""
+    """Return the states, and a fault that makes them unusable, or ""."""
     states: list[str] = []
     for position, unknown in enumerate(derivatives, start=1):
         if unknown.names is None:
@@ -156,7 +157,7 @@ def _indicators(
 
 
 def _outputs(listed: list[_StructureUnknown], declared: DeclaredVariables) -> tuple[str, ...]:
-    """Return all outputs: those of the structure first, and in its order."""
+    """Return all outputs: first those of the structure, in its order."""
     known = declared.variables
     names = [name for unknown in listed for name in unknown.names or ()]
     names += [v.name for v in known.values() if v.alias_of is None]
@@ -173,7 +174,7 @@ def _dependencies(
         on: tuple[str, ...] | None = None
         if text is not None:
             found = [declared.names_by_key.get(whole(each) or 0) for each in text.split()]
-            if None not in found:  # else it is as good as not declared
+            if None not in found:  # otherwise it counts as not declared
                 on = tuple(name for names in found for name in names or ())
         for name in unknown.names or ():
             yield VariableDependency(name, role, on)
@@ -188,12 +189,12 @@ _SAID = {"ModelExchange": "model exchange", "CoSimulation": "co-simulation"}
 
 @dataclass(frozen=True)
 class InterfaceOffer:
-    """One of the interfaces that an FMU offers, and what it can do there.
+    """An interface of an FMU, and its capabilities.
 
     Attributes
     ----------
     identifier
-        The name of its shared library.
+        Name of its shared library.
     """
 
     interface: Interface
@@ -205,14 +206,14 @@ class InterfaceOffer:
 
 
 def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[InterfaceOffer, ...]:
-    """Read the interfaces, model exchange first. One that cannot be used is left out, with a note.
+    """Read the interfaces, model exchange first. An unusable one is left out, with a note.
 
-    `fault` is why model exchange cannot be used, "" if it can.
+    `fault` is the reason why model exchange cannot be used, or "".
 
     Raises
     ------
     ModelError
-        If none is left.
+        If no usable interface remains.
     """
     file, found = notes.file, []
     refused: list[tuple[str, str]] = []
@@ -221,7 +222,7 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
         if element is None:
             continue
         identifier = element.get("modelIdentifier")
-        # It names a file, so it must not name a folder
+        # It names a file, so it must not contain a path
         if not identifier or not set(identifier).isdisjoint("/\\"):
             refused.append(
                 (tag, f"has the modelIdentifier {identifier!r}, which is not a plain name")
@@ -244,7 +245,7 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
 
 
 def _none_usable(root: Element, file: str, refused: list[tuple[str, str]]) -> ModelError:
-    """Explain why no interface can be used."""
+    """Return an error that explains why no interface can be used."""
     if not refused:
         alone = root.find("ScheduledExecution") is not None
         offers = "only scheduled execution" if alone else "neither"

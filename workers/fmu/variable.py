@@ -1,4 +1,4 @@
-"""One variable of an FMU, whichever version of FMI describes it."""
+"""A variable of an FMU, independent of the version of FMI."""
 
 from __future__ import annotations
 
@@ -37,30 +37,30 @@ class ModelVariable:
     Attributes
     ----------
     reference
-        The value reference; that of the array, for an element of one.
+        The value reference; for an element of an array, that of the array.
     settable
         Whether its start value may be set before initialisation.
     tunable
         Whether it is a parameter that may change while the FMU runs.
     start, low, high
-        None where the FMU names none. A Boolean starts at 0 or 1.
+        None if not declared. A Boolean starts at 0 or 1.
     type
-        FMI 3's name of its type. FMI 2's Real is "Float64"; its Integer and Enumeration, which
-        share their calls, are "Int32".
+        Name of its type in FMI 3. In FMI 2, Real is "Float64"; Integer and Enumeration, which use
+        the same functions, are "Int32".
     derivative_of
         The variable whose derivative this is.
     aliases
-        All names of the same value, this one among them; () if there is no other.
+        All names of the same value, including this one; () if there is no other.
     alias_of
-        For a further name that FMI 3 gives to a variable: the variable's own name.
+        For an additional name that FMI 3 gives to a variable: the variable's own name.
     shape
-        Of the array that this is an element of; () for a scalar.
+        Shape of the array that contains this element; () for a scalar.
     element
         Position in that array, in row-major order, from 0.
     size
-        How many elements that array has.
+        Number of elements of that array.
     description
-        What the FMU says that it is, on one line; "" if nothing.
+        The FMU's description, on one line; "" if there is none.
     """
 
     name: str
@@ -86,21 +86,21 @@ class ModelVariable:
 
     @property
     def is_computed(self) -> bool:
-        """True for a number that the FMU computes while it runs."""
+        """Whether it is a number that the FMU computes during the simulation."""
         given = self.causality in ("parameter", "structuralParameter", "input", "independent")
         return self.kind in ("real", "integer", "boolean") and not given
 
     @property
     def is_read(self) -> bool:
-        """True for a real number that the FMU computes."""
+        """Whether it is a real number that the FMU computes."""
         return self.kind == "real" and self.is_computed
 
     @property
     def is_tool_setting(self) -> bool:
-        """True for an option of the tool that exported the FMU: _nle_tolerance, $solver.step."""
+        """Whether it is an option of the export tool, such as _nle_tolerance or $solver.step."""
         return any(part.startswith(("_", "$")) for part in self.name.split("."))
 
     @property
     def is_continuous(self) -> bool:
-        """True if it may change between events."""
+        """Whether it may change between events."""
         return self.kind == "real" and self.variability == "continuous"

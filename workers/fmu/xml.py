@@ -1,6 +1,6 @@
-"""The XML of a model description, read without trusting it: its variables, types and units.
+"""The XML of a model description, read with care: its variables, types and units.
 
-It is corrected where that is harmless.
+Harmless faults are corrected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from workers.fmu.variable import KINDS, Type
 XML = "modelDescription.xml"
 
 _MULTIBYTE = ("gb18030", "gbk", "gb2312", "big5", "cp932", "shift_jis", "euc_jp", "cp949", "euc_kr")
-"""What expat does not read by itself, in the names of Python's codecs."""
+"""Encodings that expat cannot read itself, in the names of Python's codecs."""
 _DECLARED = re.compile(rb"""<\?xml[^>]*encoding\s*=\s*["']([\w.:-]{1,40})["']""")
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 _BARE_AMPERSAND = re.compile(r"&(?!#?\w{1,20};)")
@@ -31,14 +31,14 @@ _SHOWN = 3
 
 
 class ReadingNotes:
-    """Notes on faults that were read around; one note for the same fault of many variables."""
+    """Notes on tolerated faults; the same fault of many variables gives one note."""
 
     def __init__(self, file: str) -> None:
         self.file = file
         self._names: dict[str, list[str]] = {}
 
     def add(self, what: str, name: str | None = None) -> None:
-        """Note something, and where it was."""
+        """Add a note, and the name of the variable concerned."""
         names = self._names.setdefault(what, [])
         if name is not None:
             names.append(name)
@@ -56,12 +56,13 @@ def _listed(names: list[str]) -> str:
 
 
 def parse(file: str, content: bytes, notes: ReadingNotes) -> Element:
-    """Make a tree of elements and attributes; text between tags means nothing in FMI.
+    """Return a tree of elements and attributes; text between tags has no meaning in FMI.
 
     Raises
     ------
     ModelError
-        If it is no XML even after mending, or declares entities, which can unpack to any size.
+        If it is not XML even after correction, or if it declares entities, which may expand to any
+        size.
     """
     try:
         return _tree(file, content, None)
@@ -102,7 +103,7 @@ def _tree(file: str, content: bytes, encoding: str | None) -> Element:
 
 
 def _codecs(content: bytes) -> list[str]:
-    """Return encodings to try: the declared one, UTF-8, western Windows, Latin-1."""
+    """Return encodings to try: the declared one, UTF-8, Windows-1252, Latin-1."""
     declared = _DECLARED.search(content[:200])
     known = []
     if declared:
@@ -119,7 +120,7 @@ def _codecs(content: bytes) -> list[str]:
 
 
 def _mended(text: str) -> str:
-    """Drop what is before and after the document and characters that XML forbids."""
+    """Remove text before and after the document, and characters that XML forbids."""
     start, end = max(text.find("<"), 0), text.rfind(_END)
     inside = text[start : end + len(_END)] if end >= 0 else text[start:]
     return _BARE_AMPERSAND.sub("&amp;", _FORBIDDEN.sub(" ", inside))
@@ -132,9 +133,9 @@ def first_line(error: BaseException) -> str:
 
 
 def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float | None:
-    """Read a floating-point number of an XML schema; None if it is missing or not finite.
+    """Read a floating-point number; return None if it is missing or not finite.
 
-    `what` is the attribute and `name` the variable, for the note about one that cannot be read.
+    `what` is the attribute and `name` the variable, for a note about an unreadable number.
     """
     if text is None:
         return None
@@ -148,13 +149,13 @@ def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float
 
 
 def whole(text: str | None) -> int | None:
-    """Read a whole number; None if the text is not one."""
+    """Read an integer; return None if the text is not an integer."""
     plain = (text or "").strip()
     return int(plain) if _WHOLE.fullmatch(plain) else None
 
 
 def flag(text: str | None) -> bool:
-    """Read a truth value. Python tools write "True"."""
+    """Read a Boolean. Some Python tools write "True"."""
     return (text or "").strip().lower() in ("true", "1")
 
 
@@ -170,19 +171,19 @@ XML_TYPES: dict[Version, dict[str, Type]] = {
     },
     "3.0": {name: name for name in KINDS},
 }
-"""Names of types in the XML."""
+"""Names of types in the XML, and their types."""
 NO_ELEMENT = Element("nothing")
 
 
 @dataclass(frozen=True)
 class RawVariable:
-    """A variable's elements in the XML: its own, the one of its type (FMI 3: the same)."""
+    """A variable's own element in the XML, and that of its type (in FMI 3, the same)."""
 
     own: Element
     value: Element
     tag: str
     key: int
-    """Position (FMI 2) or value reference (FMI 3), by which other parts refer to it."""
+    """Position (FMI 2) or value reference (FMI 3) that other parts of the XML refer to."""
     name: str
     reference: int
 
@@ -234,14 +235,14 @@ BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 @dataclass(frozen=True)
 class UnitDefinition:
-    """A unit as the FMU defines it, by powers of the base units of the SI and the radian.
+    """A unit as defined by the FMU, by powers of the SI base units and the radian.
 
     Attributes
     ----------
     powers
         In the order of `BASE_UNITS`.
     offset
-        Of its zero, in the base unit: 273.15 for degrees Celsius.
+        Offset of its zero in the base unit: 273.15 for degrees Celsius.
     """
 
     powers: tuple[int, ...]
@@ -249,7 +250,7 @@ class UnitDefinition:
 
 
 def read_units(root: Element, notes: ReadingNotes) -> dict[str, UnitDefinition]:
-    """Read the units that have a definition in base units, by name; others are names alone."""
+    """Read the units with a definition in base units, by name; the others are only names."""
     found: dict[str, UnitDefinition] = {}
     for unit in root.findall("UnitDefinitions/Unit"):
         name, base = unit.get("name"), unit.find("BaseUnit")

@@ -1,7 +1,8 @@
-"""The protocol between coordinator and worker: frozen, arrays and strings only.
+"""The messages between coordinator and workers: frozen classes with arrays and strings.
 
-The coordinator sends a `Model` and its `Experiment`s once to every worker, and then `Task`s
-(one point, one experiment). The worker answers each with an `Outcome`, failures included.
+The coordinator sends a `Model` and its `Experiment`s once to every worker. Then it sends `Task`s,
+each with one point and one experiment. The worker answers each task with an `Outcome`, which may be
+a failure.
 """
 
 from workers.messages.measured_experiment import (

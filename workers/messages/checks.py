@@ -1,7 +1,7 @@
-"""Checks of what a user hands over: one value, one choice, a list of one kind.
+"""Checks of user input: a value, a choice, or a list of values of one type.
 
-Each raises an error of the class that it is given, in a sentence that says where, what it must be,
-what it is and what to do.
+Each raises an error of a given class. Its message says where the value is, what is required, what
+was found, and what to do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: on one line and not too long."""
+    """Return a value as shown in a message: on one line and not too long."""
     if isinstance(value, bool):
         return str(value).lower()
     try:
@@ -33,7 +33,7 @@ def shown(value: object) -> str:
 
 
 def is_number(value: object) -> bool:
-    """True for a real number; true and false are none."""
+    """Return whether a value is a real number; Booleans are not numbers."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
@@ -47,20 +47,20 @@ def check_number(
     below: float = math.inf,
     whole: bool = False,
 ) -> None:
-    """Refuse what is no finite number, or not in a range.
+    """Check that a value is a finite number in a range.
 
     Parameters
     ----------
     value
-        To be checked.
+        The value.
     where
-        Opens the message.
+        Start of the error message.
     error
-        What is raised.
+        Class of the error.
     above, least, below
         It must be greater than `above`, at least `least` and less than `below`.
     whole
-        Whether it must be a whole number.
+        Whether it must be an integer.
     """
     kind = "a whole number" if whole else "a number"
     if not is_number(value) or (whole and not isinstance(value, numbers.Integral)):
@@ -80,7 +80,7 @@ def check_number(
 def check_choice(
     value: object, choices: Iterable[str], where: str, error: type[ClusterEstError]
 ) -> None:
-    """Refuse what is not among the choices."""
+    """Check that a value is one of the choices."""
     names = tuple(choices)
     if not isinstance(value, str) or value not in names:
         listed = ", ".join(repr(name) for name in names[:-1])
@@ -89,21 +89,21 @@ def check_choice(
 
 
 def as_path(value: object, where: str, error: type[ClusterEstError]) -> Path:
-    """A path; refuses everything else."""
+    """Return a value as a path; raise an error if it is none."""
     if not isinstance(value, str | PathLike) or not str(value):
         raise error(f"{where}: must be a path, but is {shown(value)}")
     return Path(value)
 
 
 def check_once(names: Sequence[str], where: str, error: type[ClusterEstError]) -> None:
-    """Refuse a name that appears twice."""
+    """Check that no name appears twice."""
     for name, count in Counter(names).items():
         if count > 1:
             raise error(f"{where} {name!r}: must appear once, but appears twice; remove one")
 
 
 def is_finite(value: Any) -> bool:
-    """True for a number that a double can hold."""
+    """Return whether a number is finite as a double."""
     try:
         return math.isfinite(value)
     except OverflowError:
@@ -111,19 +111,19 @@ def is_finite(value: Any) -> bool:
 
 
 def check_flag(value: object, where: str, error: type[ClusterEstError]) -> None:
-    """Refuse what is neither true nor false; those of NumPy are."""
+    """Check that a value is true or false; NumPy's Booleans are accepted."""
     if not isinstance(value, bool | np.bool_):
         raise error(f"{where}: must be true or false, but is {shown(value)}")
 
 
 def check_text(value: object, where: str, error: type[ClusterEstError]) -> None:
-    """Refuse what is no text; it may be empty."""
+    """Check that a value is text, which may be empty."""
     if not isinstance(value, str):
         raise error(f"{where}: must be text, but is {shown(value)}")
 
 
 def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
-    """Refuse what is no text, or empty."""
+    """Check that a value is nonempty text."""
     check_text(value, where, error)
     if not value:
         raise error(f"{where}: must not be empty, but is; give it a name")
@@ -132,7 +132,7 @@ def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
 def check_kind(
     value: object, kind: type, where: str, error: type[ClusterEstError], advice: str = ""
 ) -> None:
-    """Refuse what is not of a class, the class itself included."""
+    """Check that a value is an instance of a class, and not the class itself."""
     if isinstance(value, kind):
         return
     name = "dict" if kind is Mapping else kind.__name__
@@ -146,7 +146,7 @@ def check_kind(
 def as_tuple(
     values: Any, kind: type[Item], where: str, error: type[ClusterEstError]
 ) -> tuple[Item, ...]:
-    """A list of one kind as a tuple."""
+    """Return a list of values of one type as a tuple."""
     name = kind.__name__ if kind is not str else "text"
     if isinstance(values, kind):
         raise error(
@@ -162,7 +162,7 @@ def as_tuple(
 
 
 def as_pairs(values: Any, where: str, error: type[ClusterEstError]) -> tuple[tuple[str, Any], ...]:
-    """A dict, or pairs, as a tuple of pairs (name, value)."""
+    """Return a dict or an iterable of pairs as a tuple of pairs (name, value)."""
     if hasattr(values, "items"):
         values = values.items()
     if not isinstance(values, Iterable) or isinstance(values, str | bytes):
@@ -178,7 +178,7 @@ def as_pairs(values: Any, where: str, error: type[ClusterEstError]) -> tuple[tup
 
 
 def _plain(value: Any) -> str:
-    """An infinite number or NaN, or the beginning of one that no double can hold."""
+    """Return the text of an infinite number, NaN, or a number that is too large for a double."""
     try:
         return str(float(value))
     except OverflowError:

@@ -1,6 +1,6 @@
-"""One measured experiment: the signals that a simulation is fed with and compared with.
+"""A measured experiment: the signals that drive a simulation and those compared with it.
 
-Besides outputs it may be compared with a curve, bounds and functions.
+A simulation may also be compared with a curve, bounds and functions.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ class Curve:
     Attributes
     ----------
     variables
-        The FMU's variable for each column.
+        The FMU's variable of each column.
     points : (n, d)
-        Measured, in their order along the curve.
+        Measured points, in their order along the curve.
     times : (m,)
-        When the simulated curve is sampled.
+        Times at which the simulated curve is sampled.
     tolerances : (d,)
-        How far a simulated point may lie from the curve in each column; 0 for as far as it likes.
-        Empty for that in all columns.
+        Largest distance of a simulated point from the curve in each column; 0 for no limit. Empty
+        for no limit in any column.
 
     Raises
     ------
@@ -96,7 +96,7 @@ class Curve:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its constraints."""
+        """Names of its constraints."""
         pairs = zip(self.variables, self.tolerances, strict=False)
         return tuple(f"tolerance of {name}" for name, tolerance in pairs if tolerance != 0.0)
 
@@ -109,17 +109,17 @@ class SignalBound:
     Attributes
     ----------
     name
-        What tables call it.
+        Name in tables.
     variable
-        Of the FMU.
+        The FMU's variable.
     times : (m,)
-        When it must hold.
+        Times at which it must hold.
     lower, upper : (m,)
-        Infinite where there is no bound.
+        Limits; infinite for no bound.
     scale
-        What a violation is counted in.
+        Unit of a violation.
     equality
-        Whether the signal must be equal to `lower`; `upper` is the same then.
+        Whether the signal must be equal to `lower`; then `upper` is the same.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class SignalBound:
         self._check_limits(where)
 
     def _check_limits(self, where: str) -> None:
-        """Refuse limits that no signal could keep, naming the first."""
+        """Check that a signal can satisfy the limits; the error names the first wrong limit."""
         for side, none in (("lower", -np.inf), ("upper", np.inf)):
             limit = getattr(self, side)
             for i in np.flatnonzero(~np.isfinite(limit)):
@@ -175,7 +175,7 @@ class SignalBound:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its constraints: one, or one for each side that it has."""
+        """Names of its constraints: one, or one for each side with a limit."""
         if self.equality:
             return (self.name,)
         sides = {"lower": self.lower, "upper": self.upper}
@@ -183,7 +183,7 @@ class SignalBound:
 
 
 def _own_times(values: object, where: str) -> FloatArray:
-    """At least one time, as a copy that cannot be written to."""
+    """Return at least one time, as a read-only copy."""
     times = kept_floats(values, f"{where}.times")
     if not len(times):
         raise DataError(f"{where}.times: must have at least one time, but has none; add one")
@@ -192,7 +192,7 @@ def _own_times(values: object, where: str) -> FloatArray:
 
 
 def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
-    """Refuse points of a curve that are too few, or are not a number for each variable."""
+    """Check that a curve has enough points, and a column for each variable."""
     if not variables:
         raise DataError("curve.variables: must name at least one variable, but names none; add one")
     for i, name in enumerate(variables):
@@ -213,14 +213,14 @@ def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True)
 class OwnStart:
-    """A start value that is estimated for one experiment alone: it begins behind a gap.
+    """A start value that is estimated only for one experiment, because it begins after a gap.
 
     Attributes
     ----------
     variable
         A state of the FMU.
     start, lower, upper
-        Where the estimation starts, and bounds; a label as `role` is.
+        Start of the estimation, and bounds; a label like `role`.
     """
 
     variable: str
@@ -243,41 +243,42 @@ class Experiment:
     id
         Name, unique in a problem.
     start, stop
-        Simulated interval in seconds. Every output's times lie in it.
+        Simulated interval in seconds. It contains the times of every output.
     inputs, outputs
         The measured signals.
     values
-        Known start values of this run by variable name, written before initialisation; may be
-        given as a dict, as may `groups`.
+        Known start values of this run by variable name, set before initialisation. Like `groups`,
+        they may be given as a dict.
     role, groups
         Labels for the coordinator: whether the parameters are estimated from this run ("train") or
-        only tested on it ("test"), and which group it belongs to under each key. No result depends
-        on them.
+        only tested on it ("test"), and its group under each key. No result depends on them.
     signals
-        Measured signals that the model has no input for; effects may depend on them by name.
+        Measured signals that are not inputs of the model; effects may depend on them by name.
     curve
-        Measured points without times, besides or instead of `outputs`.
+        Measured points without times, in addition to `outputs` or instead of them.
     bounds
-        What simulated signals must satisfy.
+        Constraints on simulated signals.
     cost_function
-        Returns what takes the place of all residuals of this experiment. May be given as a plain
-        function of a `SimulatedRun`, of which the workers get a copy.
+        Replaces all residuals of this experiment. It may be given as a plain function of a
+        `SimulatedRun`; the workers receive a copy.
     constraint_functions
-        Each returns a number that must be at most 0, or 0. Likewise.
+        Each returns a number that must be at most 0, or equal to 0. They may be given like
+        `cost_function`.
     record
-        Name of the experiment whose values it shares where parameters have one per experiment,
-        because both are parts of one record; "" if it has its own. A label too.
+        Name of the experiment with which it shares values of parameters that differ between
+        experiments, because both are parts of one record; "" if it has its own values. A label.
     gaps
-        What becomes of gaps in the record: "split" lets what is behind one begin with initial
-        states of its own where the inputs are unknown in it, "bridge" draws them through. A label.
+        Treatment of gaps in the record. With "split", the part after a gap starts with its own
+        initial states if the inputs in the gap are unknown. With "bridge", the inputs are
+        interpolated. A label.
     own_starts
-        Initial states that are estimated for it alone, because it begins behind a gap of its
-        record. A label.
+        Initial states that are estimated only for this experiment, because it begins after a gap of
+        its record. A label.
     log_spread
-        With process noise: what is taken off the sum of log(S / sigma^2) in -2 log likelihood, S
-        being the variances that a Kalman filter predicts. A constant, with which no estimate
-        changes; with that sum of a fitted model, residuals near it are innovations over their
-        standard deviations.
+        With process noise: a constant that is subtracted from the sum of log(S / sigma^2) in
+        -2 log likelihood, with the variances S predicted by a Kalman filter. It changes no
+        estimate. With the sum of a fitted model, residuals near that model are innovations over
+        their standard deviations.
 
     Raises
     ------
@@ -304,11 +305,11 @@ class Experiment:
     log_spread: float = 0.0
 
     from_table: ClassVar[Callable[..., Experiment]]
-    """An experiment from a table of pandas, polars or pyarrow, or a dict of columns. The
-    coordinator puts it here: a worker reads no tables."""
+    """Create an experiment from a table of pandas, polars or pyarrow, or from a dict of columns.
+    The coordinator assigns this method, because a worker reads no tables."""
     hold_out: ClassVar[Callable[..., tuple[Experiment, Experiment]]]
-    """Its training part and, as a test experiment, what was measured within windows. Put here as
-    `from_table` is."""
+    """Return its training part and a test experiment with the measurements within windows. The
+    coordinator assigns this method too."""
 
     def __post_init__(self) -> None:
         check_name(self.id, "experiment.id", DataError)
@@ -338,16 +339,16 @@ class Experiment:
 
     @property
     def record_id(self) -> str:
-        """Name of the record that it is, or is a part of."""
+        """Name of the record that it is, or that it is a part of."""
         return self.record or self.id
 
     def estimates_alone(self, variable: str) -> bool:
-        """Return whether a start value is estimated for it alone."""
+        """Return whether a start value is estimated only for this experiment."""
         return any(each.variable == variable for each in self.own_starts)
 
     @property
     def size(self) -> int:
-        """Number of residuals; those of a cost function are known only once it has been called."""
+        """Number of residuals; that of a cost function is known only after its first call."""
         return sum(self.counts)
 
     @cached_property
@@ -357,19 +358,19 @@ class Experiment:
         return (*(len(output.times) for output in self.outputs), *segments)
 
     def counts_in(self, want: Want) -> tuple[int, ...]:
-        """Numbers in an answer to `want`, which may have one for all residuals of an output."""
+        """Return the lengths of an answer to `want`, which may have one number for each output."""
         return tuple(min(c, 1) for c in self.counts) if want in REDUCTIONS else self.counts
 
     @cached_property
     def recorded(self) -> tuple[str, ...]:
-        """The FMU's variables that a simulation records: outputs first, each once."""
+        """The FMU's variables that a simulation records: first the outputs, without duplicates."""
         names = [output.variable for output in self.outputs]
         names += self.curve.variables if self.curve is not None else ()
         return tuple(dict.fromkeys([*names, *(bound.variable for bound in self.bounds)]))
 
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
-        """Of the constraints that a worker evaluates: curve, bounds, then functions."""
+        """Names of the constraints that a worker evaluates: curve, bounds, then functions."""
         names = [] if self.curve is None else list(self.curve.names)
         for bound in self.bounds:
             names += bound.names
@@ -377,7 +378,7 @@ class Experiment:
 
     @cached_property
     def equality(self) -> tuple[bool, ...]:
-        """True for each of those that must be 0; the others must be at most 0."""
+        """Whether each constraint must be 0; the others must be at most 0."""
         kinds = [False] * (0 if self.curve is None else len(self.curve.names))
         for bound in self.bounds:
             kinds += [bound.equality] * len(bound.names)
@@ -385,7 +386,7 @@ class Experiment:
 
     @cached_property
     def key(self) -> str:
-        """Hash of everything in here that a result depends on."""
+        """Hash of all contents on which a result depends."""
         signals: list[str | bytes] = [repr((self.start, self.stop, self.values))]
         for given in (*self.inputs, *self.signals):
             signals += [given.variable, given.interpolation]
@@ -427,11 +428,11 @@ _EXPERIMENT_LISTS: dict[str, type] = {
     "constraint_functions": UserFunction,
     "own_starts": OwnStart,
 }
-"""The lists of an experiment, and what each holds."""
+"""The lists of an experiment, and the types of their elements."""
 
 
 def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
-    """Refuse known values that no variable can have."""
+    """Check that known values are finite numbers, Booleans or text."""
     for name, value in values:
         fits = isinstance(value, bool | str | np.bool_) or is_number(value)
         if not fits or (is_number(value) and not is_finite(value)):
@@ -442,7 +443,7 @@ def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
 
 
 def _check_interval(experiment: Experiment, where: str) -> None:
-    """Refuse an interval that is empty, or that measured times lie outside of."""
+    """Check that the interval is not empty and contains all measured times."""
     start, stop = experiment.start, experiment.stop
     for key, time in (("start", start), ("stop", stop)):
         check_number(time, f"{where}.{key}", DataError)

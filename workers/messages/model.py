@@ -1,4 +1,4 @@
-"""The model that a worker simulates: an FMU, effects, solver and reset policy."""
+"""The model that a worker simulates: an FMU with effects, solver and reset policy."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from workers.messages.types import Interface, ResetPolicy, SolverName, content_h
 
 @dataclass(frozen=True)
 class Seats:
-    """The seats that instances of an FMU may take: each takes one for as long as it exists.
+    """The seats for instances of an FMU: each instance takes one as long as it exists.
 
-    Whoever makes an instance takes a seat first (`workers.fmu.seats`), so that the limit holds for
-    workers, for probes, and for a process in the place of one that was killed.
+    A seat must be taken before an instance is made (`workers.fmu.seats`). So the limit includes
+    workers, probes, and replacements of killed processes.
 
     Attributes
     ----------
     program
-        Names the program whose seats these are.
+        Identifies the program that owns the seats.
     numbers
-        Seats that may be taken: of a pool all, of one of its workers its own.
+        Seats that may be taken: all seats for a pool, one seat for each of its workers.
     """
 
     program: str
     numbers: tuple[int, ...]
 
     def of_worker(self, worker: int) -> Self:
-        """The one of a worker: an instance beside its own would be one too many."""
+        """Return the seat of a worker, which may have only one instance."""
         return replace(self, numbers=self.numbers[worker : worker + 1])
 
 
@@ -54,16 +54,16 @@ class Solver:
     ----------
     name
         "dormand_prince", "rk4" or, for stiff models, "cvode" for model exchange; "fmu" for
-        co-simulation, where the FMU brings its own.
+        co-simulation, in which the FMU contains its solver.
     step
         Seconds. The step of "rk4", the longest step of "dormand_prince" and "cvode", the longest
         communication step of "fmu". None: one step from each time in the data to the next ("rk4",
         "fmu"), no limit ("dormand_prince", "cvode").
     rtol, atol
         Tolerances of the error of one step; `atol` is in units of each state's nominal value.
-        For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.
+        For "fmu", `rtol` is passed to the FMU; with None, the FMU uses its own tolerance.
     max_steps
-        Steps from one time in the data to the next after which a simulation counts as failed.
+        Number of steps between two times in the data above which a simulation fails.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Effect:
-    """A term that the model lacks, around the FMU.
+    """A term that the model lacks, added around the FMU.
 
     Attributes
     ----------
@@ -97,22 +97,22 @@ class Effect:
     site
         "der(v)", "pair v,w", "input F", "output y" or "parameter k".
     form
-        Name of a form of the library; empty where `equation` says what it is.
+        Name of a form of the library; empty if `equation` is given.
     variables
-        What the form is a function of: states, inputs and measured signals by name (at outputs
-        also outputs), or the difference of two, "v - w".
+        Arguments of the form: states, inputs and measured signals by name (at outputs also
+        outputs), or the difference of two, "v - w".
     equation
-        An equation of the user's own, in the FMU's names, `t`, `s` and `coefficients`.
+        A user-defined equation in the FMU's names, `t`, `s` and `coefficients`.
     coefficients
-        (name, neutral value) of the own equation's coefficients; the neutral value is None for a
+        (name, neutral value) of the coefficients of `equation`; the neutral value is None for a
         shape parameter.
     reaction
-        At a pair: what is added to the second state's derivative, where `equation` is added to the
-        first's.
+        At a pair: the term that is added to the second state's derivative; `equation` is added to
+        the first state's derivative.
     """
 
     NOISE: ClassVar[tuple[str, ...]] = ("diffusion", "coloured_noise")
-    """The forms that are process noise."""
+    """The forms of process noise."""
 
     name: str
     site: str
@@ -124,7 +124,7 @@ class Effect:
 
     @property
     def is_noise(self) -> bool:
-        """Whether it is noise that acts on a state, which a Kalman filter takes into account."""
+        """Whether it is noise that acts on a state, which requires a Kalman filter."""
         return self.form in self.NOISE
 
     def __post_init__(self) -> None:
@@ -149,32 +149,33 @@ class Model:
     Attributes
     ----------
     name
-        The file's name, for messages.
+        Name of the file, for messages.
     archive
         The bytes of the FMU, so that a worker on another machine needs no file.
     interface, solver
-        Which of the FMU's interfaces, and how.
+        The FMU's interface, and the solver.
     parameters
-        Names of the variables that every task's `values` are for, in that order.
+        Names of the variables whose values are in every task's `values`, in that order.
     structure
-        (name, value) of structural parameters (FMI 3) that differ from their start values: they
-        say how large arrays are, so they are the same in all experiments.
+        (name, value) of structural parameters (FMI 3) that differ from their start values. They
+        determine the sizes of arrays, so they are the same in all experiments.
     logging_on
-        Whether the FMU logs all that it can, and its messages go to stderr too as they come.
+        Whether the FMU logs everything that it can, and its messages are also written to stderr.
     reset
-        The reset policy: every simulation begins with a "reset" of the instance that there is; a
-        new "instance", for FMUs whose reset leaves something behind; or a new "process", for those
-        whose library does. "auto" leaves the choice to the coordinator; a worker resets.
+        The reset policy, which each simulation starts with. "reset" resets the existing instance.
+        "instance" makes a new instance, for FMUs whose reset is incomplete. "process" starts a new
+        process, for FMUs whose library keeps data. With "auto", the coordinator chooses; a worker
+        resets.
     environment
         (name, value) of environment variables that the FMU needs, set before it is loaded.
     working_folder
-        The folder in the FMU's archive, such as "resources", that its process works in, for an FMU
-        that opens its files by relative paths; "" for that of the program.
+        The folder in the FMU's archive, such as "resources", in which its process works. For an FMU
+        that opens its files by relative paths. "" for the program's folder.
     stop_time
-        Whether the FMU is told when a simulation will end. None: only if it cannot be initialised
-        otherwise.
+        Whether the FMU is given the stop time of a simulation. None: only if it cannot be
+        initialised otherwise.
     seats
-        Seats that its instances may take, where their number is limited; None where it is not.
+        Seats for its instances if their number is limited; None if it is not.
 
     Raises
     ------
@@ -220,11 +221,11 @@ class Model:
             check_kind(self.stop_time, bool, "model.stop_time", ModelError)
 
     def at_most(self, workers: int) -> int:
-        """How many of so many workers may have an instance at once."""
+        """Return how many of `workers` workers may have an instance at once."""
         return workers if self.seats is None else min(workers, len(self.seats.numbers))
 
     def of_worker(self, worker: int) -> Self:
-        """Return the model of one of a pool's workers, counted from 0: with a seat of its own."""
+        """Return the model of one of a pool's workers, counted from 0, with its own seat."""
         if self.seats is None:
             return self
         return replace(self, seats=self.seats.of_worker(worker))
@@ -236,7 +237,7 @@ class Model:
 
     @cached_property
     def key(self) -> str:
-        """Hash of everything that makes a simulation's result, but values and experiment."""
+        """Hash of everything that determines a simulation, except values and experiment."""
         more = [repr(self.structure)] if self.structure else []
         more += [f"renew {self.reset}"] if self.reset != "auto" else []
         more += [f"environment {self.environment!r}"] if self.environment else []
@@ -248,7 +249,7 @@ class Model:
 
 
 def _check_variable(name: str, value: object) -> None:
-    """Refuse an environment variable that no system takes."""
+    """Check that a system accepts an environment variable."""
     check_text(value, f"model.environment.{name}", ModelError)
     if not name or "=" in name or "\0" in f"{name}{value}":
         raise ModelError(
@@ -258,7 +259,7 @@ def _check_variable(name: str, value: object) -> None:
 
 
 def _check_folder(folder: object) -> None:
-    """Refuse a folder that is not inside the archive."""
+    """Check that a folder is inside the archive."""
     check_text(folder, "model.working_folder", ModelError)
     path = PurePosixPath(str(folder).replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or ":" in str(folder) or "\0" in str(folder):
@@ -269,12 +270,12 @@ def _check_folder(folder: object) -> None:
 
 
 def check_solver(interface: Interface, name: SolverName) -> None:
-    """Refuse a solver that is not for this interface.
+    """Check that a solver supports an interface.
 
     Raises
     ------
     ModelError
-        With those that are.
+        If it does not. The message names the solvers that do.
     """
     exchange = interface == "model_exchange"
     if exchange is (name == "fmu"):

@@ -1,6 +1,6 @@
-"""Measured signals of an experiment: finite samples of inputs and outputs in the order of time.
+"""Measured signals of an experiment: finite samples of inputs and outputs in temporal order.
 
-The checks are the same for arrays that are handed over and for columns of a file.
+The checks are the same for arrays given in Python and for columns of a file.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from workers.messages.types import FloatArray, IntArray, Interpolation, by_conte
 
 
 def as_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
-    """Numbers as an array of floats; unchanged if they are one already.
+    """Return numbers as an array of floats; such an array is returned unchanged.
 
     Parameters
     ----------
     values
         An array, a list, or a column of pandas, polars or pyarrow.
     where
-        Opens the message.
+        Start of the error message.
     dimensions
-        Of the array.
+        Number of dimensions of the array.
 
     Raises
     ------
     DataError
-        If something in it is not a number.
+        If an element is not a number.
     """
     if type(values) is np.ndarray and values.dtype == np.float64 and values.ndim == dimensions:
         return values
@@ -59,10 +59,9 @@ def as_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
 
 
 def kept_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
-    """Numbers as an array of floats that nobody can change: a copy, unless they are one already.
+    """Return numbers as a read-only array of floats: a copy, unless they already are one.
 
-    For what is kept: an array that its owner fills with the next measurement must not change the
-    last one.
+    This protects kept data, because the caller may write the next measurement to the same array.
 
     Raises
     ------
@@ -77,7 +76,7 @@ def kept_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
 
 
 def _from_objects(values: Any, where: str) -> Any:
-    """Numbers in an array of Python objects, NaN for None and the like."""
+    """Convert an array of Python objects to numbers, with NaN for None and similar values."""
     if values.dtype.kind != "O":
         raise DataError(
             f"{where}: must contain numbers, but contains {values.dtype}; convert it to numbers (a "
@@ -95,26 +94,26 @@ def _from_objects(values: Any, where: str) -> Any:
 
 
 def _absent(value: object) -> bool:
-    """True for what stands for no measurement: None, or NA of pandas."""
+    """Return whether a value means "not measured": None, or NA of pandas."""
     return value is None or type(value).__name__ in ("NAType", "NaTType")
 
 
 def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> None:
-    """Refuse times that are not finite and strictly increasing, naming the first bad one.
+    """Check that times are finite and strictly increasing.
 
     Parameters
     ----------
     times
         In seconds.
     where
-        Opens the message.
+        Start of the error message.
     place
-        The place of an index, such as "row 5".
+        Converts an index to a place, such as "row 5".
 
     Raises
     ------
     DataError
-        If there is a bad one.
+        If they are not. The message names the first wrong time.
     """
     if not np.isfinite(times).all():
         i = int(np.flatnonzero(~np.isfinite(times))[0])
@@ -133,11 +132,11 @@ def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> N
 
 
 COARSE = 0.1
-"""Share of the rows that have the time of the row before, from which on it is the clock."""
+"""Share of rows with the time of the previous row above which the clock is too coarse."""
 
 
 def _remedy(times: FloatArray) -> str:
-    """Return what to do with times that do not increase."""
+    """Return advice for times that do not increase."""
     steps = np.diff(times)
     if np.mean(steps == 0.0) > COARSE:
         return (
@@ -150,12 +149,12 @@ def _remedy(times: FloatArray) -> str:
 
 
 def check_length(values: FloatArray, times: FloatArray, where: str) -> None:
-    """Refuse a signal that has not as many samples as there are times.
+    """Check that a signal has as many samples as there are times.
 
     Raises
     ------
     DataError
-        With both numbers.
+        If it does not. The message contains both numbers.
     """
     if len(values) != len(times):
         raise DataError(
@@ -165,7 +164,7 @@ def check_length(values: FloatArray, times: FloatArray, where: str) -> None:
 
 
 def refuse_value(value: float, where: str, absent: str) -> DataError:
-    """The error for a sample that is no finite number; `absent` says how one is left out."""
+    """Return the error for a sample that is not finite; `absent` describes how to omit it."""
     return DataError(
         f"{where}: must be a finite number, but is {value}; correct it, or {absent} if nothing was "
         "measured"
@@ -173,12 +172,12 @@ def refuse_value(value: float, where: str, absent: str) -> DataError:
 
 
 def check_finite(values: FloatArray, where: str) -> None:
-    """Refuse samples that are not finite.
+    """Check that all samples are finite.
 
     Raises
     ------
     DataError
-        Naming the first.
+        If they are not. The message names the first wrong sample.
     """
     if not np.isfinite(values).all():
         i = int(np.flatnonzero(~np.isfinite(values))[0])
@@ -190,8 +189,8 @@ def check_finite(values: FloatArray, where: str) -> None:
 class Input:
     """A measured signal that drives an input variable of the FMU.
 
-    Before its first and after its last sample the signal keeps that sample's value. Times and
-    values may be given as arrays, lists or columns of a table.
+    Before the first and after the last sample, the signal is constant. Times and values may be
+    given as arrays, lists or columns of a table.
 
     Raises
     ------
@@ -226,34 +225,34 @@ class Output:
     Attributes
     ----------
     variable, times, values
-        The output of the FMU, when it was measured, in seconds, and what was measured.
+        The output of the FMU, the times of its measurement in seconds, and the measured values.
     sigma
-        Standard deviation of the noise, in the signal's unit; 1 where it is not given.
+        Standard deviation of the noise, in the signal's unit; 1 if it is not given.
     relative_sigma
-        Of a sensor or an assay whose noise grows with what it measures: the part of each measured
-        value that its noise has besides `sigma`.
+        For a sensor or an assay whose noise increases with the measured value: the standard
+        deviation of additional noise, relative to each measured value.
     free_scale, free_offset
-        Whether what is simulated may be multiplied by any factor, and shifted by any amount, before
-        it is compared: the best ones, in each experiment.
+        Whether the simulated signal is multiplied by a free factor, and shifted by a free offset,
+        before the comparison. The best values are used in each experiment.
     detection_limit
-        Measured values at or below it say no more than that; None without a limit.
+        Measured values at or below it are censored; None without a limit.
     ordinal
-        Whether the measured values say an order and nothing else, such as grades from 1 to 5: equal
-        values are one category, and a larger value says that the output was larger. `sigma` is then
+        Whether only the order of the measured values counts, such as grades from 1 to 5. Equal
+        values form a category, and a larger value means that the output was larger. Then `sigma` is
         in standard deviations of the simulated signal.
     noise_factors : (n,)
-        What the standard deviation of each sample is multiplied by: that of a value made of many
-        samples is smaller. None for 1.
+        Factors of the standard deviation of each sample, which is smaller for the mean of many
+        samples. None for 1.
     reference
-        Of a held-out part of a record the same output in the training part: scale, offset and the
-        bounds of categories are found from it alone. None where they are found from the output
+        For a held-out part of a record, the same output in the training part. Scale, offset and
+        category bounds are estimated only from it. None if they are estimated from the output
         itself.
 
     Raises
     ------
     DataError
-        If times are not finite and increasing, values not finite, or sigma not positive, or what it
-        is compared by contradicts itself.
+        If times are not finite and increasing, values not finite, or sigma not positive, or if the
+        options of the comparison contradict each other.
     """
 
     variable: str
@@ -276,7 +275,7 @@ class Output:
         if self.detection_limit is not None:
             check_number(self.detection_limit, f"{where}.detection_limit", DataError)
             hidden = kept_floats(np.maximum(self.values, self.detection_limit), f"{where}.values")
-            object.__setattr__(self, "values", hidden)  # 0 and the limit say the same
+            object.__setattr__(self, "values", hidden)  # values below the limit are equivalent
             if self.free_scale or self.free_offset:
                 raise DataError(
                     f"{where}.detection_limit: must not be used with free_scale or free_offset, "
@@ -301,7 +300,7 @@ class Output:
                 )
 
     def _check_ordinal(self, where: str) -> None:
-        """Refuse what an order says nothing of."""
+        """Check that no option is given that contradicts ordinal values."""
         given = {
             "free_scale": self.free_scale,
             "free_offset": self.free_offset,
@@ -319,7 +318,7 @@ class Output:
     def sigmas(self) -> FloatArray:
         """The standard deviation of each sample, sqrt(sigma^2 + (relative_sigma value)^2).
 
-        Times its noise factor.
+        It is multiplied by the sample's noise factor.
         """
         if self.relative_sigma == 0.0:
             found = np.full(len(self.times), self.sigma)
@@ -328,7 +327,7 @@ class Output:
         return found if self.noise_factors is None else found * self.noise_factors
 
     def only(self, kept: npt.NDArray[np.bool_] | IntArray) -> Output:
-        """Return the output with these of its samples alone."""
+        """Return the output with only these samples."""
         factors = self.noise_factors
         return replace(
             self,
@@ -345,35 +344,35 @@ class Output:
 
     @property
     def learns(self) -> bool:
-        """Whether its residuals are those after something was fitted to what was measured."""
+        """Whether scale, offset or category bounds are fitted before its residuals are computed."""
         return self.free_scale or self.free_offset or self.ordinal
 
     @property
     def is_hidden(self) -> npt.NDArray[np.bool_]:
-        """(n,): whether each value is at its detection limit, and says no more than that."""
+        """(n,): whether each value is at its detection limit, and so is censored."""
         if self.detection_limit is None:
             return np.zeros(len(self.times), np.bool_)
         return self.values <= self.detection_limit
 
     @property
     def has_sigma(self) -> bool:
-        """Whether its noise is given: a sigma of 1 is what stands where it is not."""
+        """Whether its noise is given; a sigma of 1 means that it is not."""
         return self.sigma != 1.0 or self.relative_sigma > 0.0
 
 
 def _check_samples(signal: Any, kind: str) -> str:
-    """Make times and values arrays, and refuse what is no measurement.
+    """Convert times and values to arrays, and check them.
 
     Returns
     -------
     str
-        The opening of messages about this signal.
+        The start of messages about this signal.
     """
     check_name(signal.variable, f"{kind}.variable", DataError)
     where = f"{kind} {signal.variable!r}"
     times = kept_floats(signal.times, f"{where}.times")
     values = kept_floats(signal.values, f"{where}.values")
-    object.__setattr__(signal, "times", times)  # a frozen class is changed while it is made alone
+    object.__setattr__(signal, "times", times)  # allowed in __post_init__ only
     object.__setattr__(signal, "values", values)
     check_length(values, times, f"{where}.values:")
     check_times(times, f"{where}.times", "index {}".format)

@@ -1,4 +1,4 @@
-"""Tasks of workers with their limits, and the outcomes that they return."""
+"""Tasks of workers with their limits, and the outcomes that workers return."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ class Task:
     id
         Chosen by the coordinator; the outcome repeats it.
     experiment
-        Index of the experiment among those that the worker has.
+        Index of the experiment among those of the worker.
     values
         Physical values of `Model.parameters`, then of the coefficients of each effect.
     want
-        "residuals"; "squares" or "absolutes" for one number in place of those of each output (not
-        with a cost function), see `REDUCTIONS`; "trajectory" for the outputs at every time of the
-        simulation's grid too; "linearisation" for the model's derivatives there (model exchange
-        only); or "sensitivities" for the derivatives of the residuals by the parameters, where the
-        model can give them.
+        "residuals"; "squares" or "absolutes" for one number instead of the residuals of each output
+        (not with a cost function), see `REDUCTIONS`; "trajectory" for also the outputs at every
+        time of the simulation's grid; "linearisation" for also the model's derivatives there (model
+        exchange only); or "sensitivities" for also the derivatives of the residuals by the
+        parameters, if the model provides them.
     effects
-        What is added to the model.
+        Effects that are added to the model.
     bound
-        Sum of squared residuals above which nobody needs to know more: the simulation may end as
-        soon as its sum so far is above it, with `Status.ENDED_EARLY`. It does where all residuals
-        are those of plain outputs and no effects act; elsewhere it goes to its end.
+        Sum of squared residuals above which the result is not needed. As soon as the sum so far
+        exceeds it, the simulation may end with `Status.ENDED_EARLY`. It does so if all outputs are
+        plain and no effects act; otherwise it continues to its end.
     """
 
     id: int
@@ -51,19 +51,19 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits beyond which a simulation in a process of its own is ended from outside.
+    """Limits beyond which a simulation in a separate process is stopped.
 
     Attributes
     ----------
     seconds
-        Longest that one simulation may take on the wall's clock.
+        Longest wall-clock time of one simulation.
     stall
-        Seconds for which it may stand still: no step ends, though the system lets it run, or it
-        sleeps. It has to happen twice.
+        Longest time in seconds without progress: no step ends, although the process runs or sleeps.
+        A simulation fails if it happens twice.
     memory
         Most bytes that the process may have in memory.
     growth
-        Bytes by which it may grow over many simulations before it is replaced by a fresh one.
+        Bytes by which it may grow over many simulations before it is replaced by a new process.
     """
 
     seconds: float = 600.0
@@ -75,18 +75,18 @@ class Limits:
 @by_content
 @dataclass(frozen=True, slots=True)
 class MatrixSeries:
-    """A matrix at each of n times; entries that are 0 at all of them are not kept.
+    """A matrix at each of n times, without the entries that are 0 at all times.
 
-    In a model of many states each acts on few others. `numpy.asarray` gives all entries.
+    In a model with many states, each state acts on few others. `numpy.asarray` returns all entries.
 
     Attributes
     ----------
     shape
         (n, rows, columns).
     rows, columns : (k,)
-        Of the entries that are kept, ascending by row, then by column.
+        Indices of the stored entries, ascending by row, then by column.
     values : (n, k)
-        Of those entries.
+        Values of these entries.
     """
 
     shape: tuple[int, int, int]
@@ -96,21 +96,21 @@ class MatrixSeries:
 
     @classmethod
     def of(cls, matrices: FloatArray) -> Self:
-        """From all entries, (n, rows, columns)."""
+        """Create a series from all entries, (n, rows, columns)."""
         rows, columns = np.nonzero((matrices != 0.0).any(axis=0))
         n, height, width = matrices.shape
         return cls((n, height, width), rows, columns, matrices[:, rows, columns])
 
     def at(self, time: int) -> FloatArray:
-        """(rows, columns): all entries at one of the times."""
+        """Return all entries at one of the times, (rows, columns)."""
         return self._filled(self.values[time])
 
     def largest(self) -> FloatArray:
-        """(rows, columns): the largest absolute value of each entry."""
+        """Return the largest absolute value of each entry, (rows, columns)."""
         return self._filled(np.abs(self.values).max(axis=0))
 
     def row(self, row: int) -> FloatArray:
-        """(n, columns): one row at all times."""
+        """Return one row at all times, (n, columns)."""
         found = np.zeros((self.shape[0], self.shape[2]))
         own = self.rows == row
         found[:, self.columns[own]] = self.values[:, own]
@@ -124,7 +124,7 @@ class MatrixSeries:
     def __array__(
         self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
     ) -> npt.NDArray[np.float64]:
-        """All entries; numpy calls this."""
+        """Return all entries; NumPy calls this."""
         if copy is False:
             raise ValueError("entries that are not kept can only be copied")
         found = np.zeros(self.shape)
@@ -133,7 +133,7 @@ class MatrixSeries:
 
 
 class Status(enum.StrEnum):
-    """The ending of a task. A member's text is what a person reads."""
+    """The result of a task. The text of a member is shown to users."""
 
     OK = "ok"
     SOLVER_FAILURE = "solver failure"
@@ -147,21 +147,21 @@ class Status(enum.StrEnum):
 
     @property
     def is_failure(self) -> bool:
-        """False where a simulation reached its end, or was ended because its cost was too high."""
+        """False if a simulation reached its end, or was ended because its cost was too high."""
         return self not in (Status.OK, Status.ENDED_EARLY)
 
 
 @by_content
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Simulated outputs, `values[i, j]` being `variables[j]` at `times[i]`."""
+    """Simulated outputs; `values[i, j]` is `variables[j]` at `times[i]`."""
 
     variables: tuple[str, ...]
     times: FloatArray
     values: FloatArray
 
     def at(self, variable: str, times: FloatArray) -> FloatArray:
-        """Return what an output was at times that are among those of the simulation."""
+        """Return an output at times that are times of the simulation."""
         rows = np.searchsorted(self.times, times)
         return np.asarray(self.values[rows, self.variables.index(variable)])
 
@@ -169,20 +169,21 @@ class Trajectory:
 @by_content
 @dataclass(frozen=True, slots=True)
 class Linearisation:
-    """The model with its effects, linear around one simulation: dx/dt = f(t, x, u, p), y = g(...).
+    """The model with its effects, linearised along a simulation: dx/dt = f(t, x, u, p), y = g(...).
 
-    With it, the response to any small forcing follows from a linear time-varying system, without
-    another simulation.
+    With it, the response to any small disturbance follows from a linear time-varying system,
+    without another simulation.
 
-    States are the FMU's, then those of the effects ("EFFECT:STATE"). Inputs are all real inputs of
-    the FMU but those that a parameter sets, the experiment's first; the derivatives are by an input
-    *as it reaches the FMU*, behind all effects. Parameters are the tunable ones of
-    `Model.parameters`; the derivatives are by the value that holds at that time, where an effect
-    varies it. The derivatives are central differences, one-sided at a bound that the FMU declares.
+    States are those of the FMU, then those of the effects ("EFFECT:STATE"). Inputs are all real
+    inputs of the FMU that are not parameters, first those of the experiment. The derivatives are
+    with respect to an input *as it reaches the FMU*, after all effects. Parameters are the tunable
+    ones of `Model.parameters`. The derivatives are with respect to the current value, which an
+    effect may vary. The derivatives are central differences, or one-sided at a bound that the FMU
+    declares.
 
-    Effects at outputs act on the record afterwards. `outputs` has them; `plain_outputs`, C, D and Q
-    do not. What a delay or backlash makes of an input is in `inputs` already. Where effects bring
-    times of their own, those between the times of the experiment's grid are left out.
+    Effects at outputs are applied to the recorded outputs. `outputs` includes them;
+    `plain_outputs`, C, D and Q do not. `inputs` already includes a delay or backlash of an input.
+    If effects add times, the times between those of the experiment's grid are omitted.
 
     Attributes
     ----------
@@ -193,16 +194,16 @@ class Linearisation:
     inputs, effective_inputs : (n, u)
         Inputs before and after the effects.
     outputs, plain_outputs : (n, y)
-        With effects at outputs, and without: the experiment's outputs.
+        The experiment's outputs with effects at outputs, and without.
     A, B, P : (n, x, x), (n, x, u), (n, x, p)
         df/dx, df/du, df/dp.
     C, D, Q : (n, y, x), (n, y, u), (n, y, p)
         dg/dx, dg/du, dg/dp.
     state_names, input_names, output_names, parameter_names
-        What the axes stand for.
+        Names along the axes.
     log_spread
-        With process noise, where states are those that a Kalman filter has corrected, the sum of
-        log(S / sigma^2) over all measured values; see `Experiment`.
+        With process noise, the states are those that a Kalman filter has corrected. This is the sum
+        of log(S / sigma^2) over all measured values; see `Experiment`.
     """
 
     times: FloatArray
@@ -235,25 +236,25 @@ class Outcome:
     task
         The id of the task.
     status, message
-        Anything but OK, and sensitivities that were not to be had, comes with a sentence that says
-        what happened, where and at which time.
+        If the status is not OK, or if sensitivities are not available, the message says what
+        happened, where and at which time.
     residuals
-        (measured - simulated) / sigma, output after output, then those of the curve, or what the
-        task wanted in their place; None unless `status` is OK.
+        (measured - simulated) / sigma, output after output, then those of the curve; or the values
+        that the task requested instead. None unless `status` is OK.
     constraints
         In the order of `Experiment.constraint_names`; empty unless `status` is OK.
     trajectory, linearisation
-        Only where the task wanted it.
+        Only if the task requested them.
     sensitivities : (residuals + constraints, parameters)
-        Derivatives of both by the values of `Model.parameters`, where the task wanted them; NaN in
-        the columns of parameters by which there are none. None, with a message that says why, where
-        the model cannot give them: the simulation itself may be OK then.
+        Derivatives of both by the values of `Model.parameters`, if the task requested them. A
+        column is NaN if its parameter has no derivatives. None, with a message, if the model does
+        not provide them; the simulation itself may be OK.
     seconds
-        What this simulation cost: its share of the batch that it ran in.
+        Time of this simulation: its share of the time of the batch.
     steps
-        Steps of the solver: the same on every machine, however busy; 0 where it is not known.
+        Steps of the solver, which are the same on every machine; 0 if unknown.
     worker
-        Who ran it.
+        Name of the worker.
     """
 
     task: int
@@ -274,5 +275,5 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """True unless the status is one that was asked for: OK, or ended early."""
+        """Whether the status is neither OK nor ended early."""
         return self.status.is_failure

@@ -1,8 +1,7 @@
-"""Types of arrays and of choices by name, equality and hashes by content, progress of a simulation.
+"""Types of arrays, named choices, equality and hashes by content, and progress of a simulation.
 
-Equality is by content for classes with arrays, which NumPy compares number by number. Progress is
-noted for whoever waits for a simulation in another process: it says that the simulation goes on,
-whatever the clock says.
+Equality of classes with arrays is by content, because NumPy compares arrays elementwise. Progress
+shows to a waiting process that a simulation continues, independently of the clock.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ ResetPolicy = Literal["auto", "reset", "instance", "process"]
 Value = float | int | bool | str
 
 REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
-"""Reductions of the residuals r of an output: the root of the sum of r^2, or the sum of
-|r|. Of one number, the sum of squares or of absolute values is that of them all."""
+"""Reductions of the residuals r of an output: the root of the sum of r^2, or the sum of |r|.
+Summing the squares or absolute values of reduced residuals gives the sum over all residuals."""
 USUAL: tuple[Want, ...] = ("residuals", *REDUCTIONS)
-"""Wants of searches: the same simulation, of which less or more is sent back."""
+"""Wants of searches, which differ only in the amount of data in the answer."""
 
 
 def content_hash(parts: Iterable[str | bytes]) -> str:
-    """SHA-256 over parts, each preceded by its length so that no two lists collide."""
+    """Return the SHA-256 of parts, each preceded by its length to avoid collisions of lists."""
     digest = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part
@@ -45,13 +44,13 @@ def content_hash(parts: Iterable[str | bytes]) -> str:
 
 
 CALLED, SIMULATIONS, RUNNING, STEPS = range(4)
-"""Whether the FMU was told where it is, or to make a step, since somebody looked; how many
-simulations have begun; whether one of them is under way; and the steps of the solver in the last
-one that reached its end."""
+"""Indices of progress: whether a time or a step was passed to the FMU since the last observation;
+the number of simulations started; whether one is running; and the solver's steps in the last
+simulation that reached its end."""
 
 
 def no_watcher() -> IntArray:
-    """Progress that nobody looks at."""
+    """Return progress that no process observes."""
     return np.zeros(4, np.int64)
 
 
@@ -59,10 +58,9 @@ Class = TypeVar("Class", bound=type)
 
 
 def by_content(cls: Class) -> Class:
-    """Let instances of a dataclass be equal where all that they hold is, arrays bit for bit.
+    """Make instances of a dataclass equal if their contents are equal, arrays bit for bit.
 
-    NaN equals NaN, unlike in Python, so that a copy equals what it is a copy of. Hashes stay as
-    they are.
+    Unlike in Python, NaN equals NaN, so a copy equals its original. Hashes are not changed.
     """
 
     def equal(self: object, other: object) -> Any:
@@ -75,7 +73,7 @@ def by_content(cls: Class) -> Class:
 
 
 def same_content(one: Any, other: Any) -> bool:
-    """Return whether two values are of one class and hold the same.
+    """Return whether two values have the same class and content.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A Python function of the user's, by name, by the text of its module, or as it is in memory."""
+"""A user-defined Python function: by name, by the text of its module, or pickled."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from workers.messages.checks import check_flag, check_name, check_text, shown
 
 @dataclass(frozen=True)
 class UserFunction:
-    """A Python function of the user's, which runs on the workers.
+    """A user-defined Python function, which runs on the workers.
 
     Attributes
     ----------
     module, name
-        Where it stands.
+        Module and name of the function.
     source
-        The module's text, where it is a file of the user's; empty if the module is installed.
+        Source text of the module, if it is a file of the user; empty if the module is installed.
     equality
-        For a constraint: whether what it returns must be 0, else at most 0.
+        For a constraint: whether its value must be 0; otherwise at most 0.
     label
-        What tables call it; `name` if empty.
+        Name in tables; `name` if empty.
     pickled
-        The function itself, as `from_callable` makes it; empty if it is imported.
+        The pickled function, from `from_callable`; empty if the function is imported.
 
     Raises
     ------
@@ -50,24 +50,24 @@ class UserFunction:
 
     @classmethod
     def from_callable(cls, function: Callable[..., Any], where: str) -> UserFunction:
-        """Return a function as workers are sent it, in other processes and on other machines too.
+        """Return a function in the form that is sent to workers, also on other machines.
 
-        One of a script, a notebook or a closure goes as a whole, with what it holds: a copy, as it
-        is now. One of a module goes by name, and each worker must be able to import that.
+        A function of a script, a notebook or a closure is pickled with its current contents. A
+        function of a module is sent by name, and each worker must be able to import the module.
 
         Parameters
         ----------
         function
-            A function, a lambda, or an object that can be called.
+            A function, a lambda, or a callable object.
         where
-            Opens the message.
+            Start of the error message.
 
         Raises
         ------
         DataError
-            If it holds something that cannot leave this process.
+            If it contains something that cannot be sent to another process.
         """
-        from ray import cloudpickle  # which takes half a second to import
+        from ray import cloudpickle  # its import takes half a second
 
         try:
             pickled: bytes = cloudpickle.dumps(function)
@@ -84,6 +84,6 @@ class UserFunction:
 
 
 def as_user_function(given: Any, where: str) -> Any:
-    """Return a function as workers are sent it; anything else as it is, for others to refuse."""
+    """Return a callable in the form that is sent to workers; return anything else unchanged."""
     is_plain = callable(given) and not isinstance(given, type)
     return UserFunction.from_callable(given, where) if is_plain else given

@@ -1,1 +1,1 @@
-"""Questions about an FMU that go beyond a simulation, for a preflight."""
+"""Probes: questions about an FMU, beyond a simulation, for the preflight checks."""

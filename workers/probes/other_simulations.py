@@ -1,6 +1,6 @@
-"""Probes that simulate an experiment in another way: as it may have been meant, or two at once.
+"""Probes that simulate variants of an experiment, or two instances at once.
 
-Whether two instances in one process disturb each other is found out in one thread: the calls of one
+A single thread tests whether two instances in one process disturb each other: all calls of one
 simulation are made in the middle of the other.
 """
 
@@ -23,7 +23,7 @@ from workers.simulation.simulator import Simulator
 
 @dataclass(frozen=True)
 class SimulatedVariant:
-    """What one experiment gave; `values[i, j]` is the j-th recorded variable at `times[i]`."""
+    """Result of one experiment; `values[i, j]` is the j-th recorded variable at `times[i]`."""
 
     times: FloatArray = field(repr=False)
     values: FloatArray = field(repr=False)
@@ -31,17 +31,17 @@ class SimulatedVariant:
 
 @dataclass(frozen=True)
 class VariantProbe(FmuProbe):
-    """Asks for simulations of variants of an experiment: with inputs or times in other units.
+    """Simulates variants of an experiment, with inputs or times in other units.
 
     Attributes
     ----------
     variants
-        Experiments, each with the factor by which its times were multiplied: the solver's step is
-        multiplied too.
+        Experiments, each with the factor by which its times were multiplied; the solver's step is
+        multiplied by it too.
     point, reset
-        Values of the model's parameters, and what each simulation begins with.
+        Values of the model's parameters, and the reset policy.
     seconds
-        After which the rest is left out.
+        Time limit, after which the remaining variants are omitted.
     """
 
     variants: tuple[tuple[Experiment, float], ...]
@@ -50,7 +50,7 @@ class VariantProbe(FmuProbe):
     seconds: float
 
     def answer(self, evaluator: Evaluator) -> list[SimulatedVariant | None]:
-        """For each variant its outputs; None if it failed."""
+        """Return the outputs of each variant; None if it failed."""
         end = time.monotonic() + self.seconds
         found: list[SimulatedVariant | None] = []
         for experiment, factor in self.variants:
@@ -91,7 +91,7 @@ class SimulationVariant:
     parameters
         Positions of the model's parameters that are set; the others keep the FMU's own values.
     step
-        The solver's step in seconds; None for that of the model.
+        The solver's step in seconds; None for the model's step.
     """
 
     parameters: tuple[int, ...]
@@ -100,18 +100,18 @@ class SimulationVariant:
 
 @dataclass(frozen=True)
 class RemedyProbe(FmuProbe):
-    """Asks in which of some ways an experiment can be simulated, each with a new instance.
+    """Tries several ways to simulate an experiment, each with a new instance.
 
-    Where the number of instances is limited, each is made when the one before was freed.
+    If the number of instances is limited, the previous instance is freed first.
 
     Attributes
     ----------
     experiment, point
-        What is simulated, with the values of the model's parameters.
+        Index of the experiment, and values of the model's parameters.
     variants
         The ways to try.
     seconds
-        After which the rest is left out.
+        Time limit, after which the remaining variants are omitted.
     """
 
     experiment: int
@@ -120,7 +120,7 @@ class RemedyProbe(FmuProbe):
     seconds: float
 
     def answer(self, evaluator: Evaluator) -> list[bool]:
-        """For each variant whether it ended well; those without time are left out."""
+        """Return whether each variant succeeded; those beyond the time limit are omitted."""
         end = time.monotonic() + self.seconds
         found: list[bool] = []
         for variant in self.variants:
@@ -148,19 +148,19 @@ class RemedyProbe(FmuProbe):
 
 _EXIT_INITIALISATION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 _WARNING = 1
-"""The worst status of a call with which a simulation goes on."""
+"""The worst status of a call after which a simulation continues."""
 
 
 @dataclass(frozen=True)
 class InstanceSimulation:
-    """A simulation that an instance is asked for.
+    """A simulation for an instance.
 
     Attributes
     ----------
     experiment
-        Index of it.
+        Index of the experiment.
     point : (values,)
-        Of the model's parameters.
+        Values of the model's parameters.
     """
 
     experiment: int
@@ -169,20 +169,20 @@ class InstanceSimulation:
 
 @dataclass(frozen=True)
 class SideBySideProbe(FmuProbe):
-    """Asks whether a simulation has other bits while another instance is initialised and simulated.
+    """Tests whether a second instance changes the bits of a simulation.
 
-    An FMU that keeps in static variables what belongs to an instance is right as long as instances
-    take turns, and wrong without any sign of it where threads simulate several at once. Threads
-    would show that by chance only. So one instance is initialised, then the other one is, and
-    simulated to its end, and only then the first goes on: four simulations in all.
+    Some FMUs keep data of an instance in static variables. They are correct as long as instances
+    take turns. If threads simulate several instances at once, they are wrong without any sign.
+    Threads would show this only by chance. So one instance is initialised, then the other is
+    initialised and simulated to its end, and then the first continues: four simulations in total.
 
     Attributes
     ----------
     one, other
-        The two simulations; with other values and in other experiments, if there are any.
+        The two simulations; with different values and experiments if possible.
     together
-        False to simulate them alone only: if that does not crash but the rest does, it is because
-        of the second instance.
+        False to simulate them only separately. If this does not crash but the complete test does,
+        the second instance is the cause.
     """
 
     one: InstanceSimulation
@@ -190,9 +190,9 @@ class SideBySideProbe(FmuProbe):
     together: bool = True
 
     def answer(self, evaluator: Evaluator) -> bool | None:
-        """True if they disturb each other; None if one fails alone or does not repeat itself."""
+        """Return True if they disturb each other, None if one fails alone or is not repeatable."""
         if evaluator.model.seats is not None:
-            evaluator.free_instance()  # the two below are all that there may be
+            evaluator.free_instance()  # the two instances below may be all that are allowed
         first, second = _InstanceRun(evaluator, self.one), _InstanceRun(evaluator, self.other)
         alone = first.bits(), second.bits()
         if None in alone:
@@ -206,7 +206,7 @@ class _InstanceRun:
     """Simulates one experiment at one point, each time with a new instance."""
 
     def __init__(self, evaluator: Evaluator, asked: InstanceSimulation) -> None:
-        self._model = replace(evaluator.model, reset="reset")  # of a new one it does nothing
+        self._model = replace(evaluator.model, reset="reset")  # for a new instance, it does nothing
         self._description = evaluator.description
         self._experiment = evaluator.experiments[asked.experiment]
         self._point = asked.point
@@ -217,17 +217,17 @@ class _InstanceRun:
         Raises
         ------
         ModelError
-            If there is no instance to be had.
+            If no instance can be made.
         """
         return self._simulate(FmuInstance(self._model, self._description))
 
     def bits_around(self, other: _InstanceRun) -> tuple[bytes | None, bytes | None]:
-        """Return the same, and that of another one simulated as soon as this one is initialised.
+        """Return the outputs as bytes, and those of `other`, simulated after this initialisation.
 
         Raises
         ------
         ModelError
-            If there are no two instances to be had.
+            If two instances cannot be made.
         """
         instance = FmuInstance(self._model, self._description)
         found: list[bytes | ModelError | None] = []
@@ -240,7 +240,7 @@ class _InstanceRun:
 
         called = _hook(instance, simulate_the_other)
         own = self._simulate(instance)
-        del called  # the loop has called it by its address up to here
+        del called  # until here, the core may call it by its address
         between = found[0] if found else None
         if isinstance(between, ModelError):
             raise between
@@ -257,7 +257,7 @@ class _InstanceRun:
 
 
 def _hook(instance: FmuInstance, then: Callable[[], None]) -> object:
-    """Call something at the end of an instance's next initialisation; return what must live on."""
+    """Call a function after the next initialisation; return an object that must stay alive."""
     address = instance.component.exit_initialization_mode
     exit_initialisation = _EXIT_INITIALISATION(address)
 

@@ -1,4 +1,4 @@
-"""Probes of `cluster-est check`, each run beside the FMU in a process of its own."""
+"""Probes of `cluster-est check`, each run with the FMU in a separate process."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
 WARM_UP_SIMULATIONS = 10
-"""Simulations after which a process has all the memory that it will need, if it does not leak."""
+"""Number of simulations after which the memory of a process no longer grows without a leak."""
 BATCH_SIZE = 5
-"""Simulations in one call, of which the cost is taken."""
+"""Number of simulations in one timed call."""
 
 
 def difference(found: FloatArray, truth: FloatArray) -> float:
-    """Return the largest difference of two tables of outputs, each over the size of its output."""
+    """Return the largest relative difference of two tables of outputs; see `differences`."""
     return float(differences(found, truth).max(initial=0.0))
 
 
 def differences(found: FloatArray, truth: FloatArray) -> FloatArray:
-    """Return the largest difference of each output of two tables, over its size.
+    """Return the largest difference of each output of two tables, over its largest value.
 
-    That of an output which stays at 0 is 1, the nominal value of a variable that declares none.
+    For an output that is always 0, the divisor is 1, the default nominal value.
     """
     if found.tobytes() == truth.tobytes():
         return np.zeros(truth.shape[1])
@@ -49,7 +49,7 @@ def differences(found: FloatArray, truth: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class SimulationProbe(FmuProbe):
-    """Asks for the outcome of one task."""
+    """Returns the outcome of one task."""
 
     task: Task
 
@@ -57,7 +57,7 @@ class SimulationProbe(FmuProbe):
         found = evaluator.evaluate(TaskBatch.of([self.task]))[0]
         if not self.task.effects or not found.ok:
             return found
-        # once more, for the time that it takes without importing SymPy
+        # repeated to measure the time without the import of SymPy
         simulator = _simulator_with_reset(evaluator, self.task.experiment, "instance")
         begin = time.perf_counter()
         batch = simulator.run(0, self.task.values[None], self.task.effects)
@@ -67,16 +67,15 @@ class SimulationProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class RepetitionResult:
-    """One simulation, begun in several ways: how far the outputs are from those of the first.
+    """One simulation, started in several ways, with the distances from the first outputs.
 
     Attributes
     ----------
     first : (times, outputs)
-        In a process and an instance that nothing had been simulated with.
+        In a new process and a new instance.
     reset, instance
-        After a reset, and in a new instance of the same process; 0 for the same bits, None where
-        it could not be simulated, or was not asked for. The latter is only tried where the first is
-        not 0.
+        Distance after a reset, and in a new instance of the same process. 0 means the same bits;
+        None means that it failed or was not tried. The latter is tried only if the former is not 0.
     """
 
     first: FloatArray = field(repr=False)
@@ -86,9 +85,9 @@ class RepetitionResult:
 
 @dataclass(frozen=True)
 class RepeatProbe(FmuProbe):
-    """Asks whether a simulation can be repeated in a process.
+    """Tests whether a simulation is repeatable within a process.
 
-    `policies` are those that are tried: a reset may crash.
+    `policies` are the reset policies to try; a reset may crash.
     """
 
     experiment: int
@@ -108,13 +107,13 @@ class RepeatProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class StopTimeProbe(FmuProbe):
-    """Asks whether the FMU can be initialised without a stop time, and with one."""
+    """Tests whether the FMU can be initialised without a stop time, and with one."""
 
     experiment: int
     point: FloatArray
 
     def answer(self, evaluator: Evaluator) -> tuple[bool, bool]:
-        """Whether it can without, and with one."""
+        """Return whether it can be initialised without a stop time, and with one."""
         model, experiment = evaluator.model, evaluator.experiments[self.experiment]
         without, told = (
             _simulator_of(evaluator, replace(model, reset="instance", stop_time=t), experiment)
@@ -125,10 +124,9 @@ class StopTimeProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class LeftoverProbe(FmuProbe):
-    """Asks how far values that were set survive a reset, in the outputs.
+    """Measures how much values that were set before a reset change the outputs after it.
 
-    That is how far a simulation with the FMU's own values comes from what it was, once others were
-    simulated.
+    The result is the change of a simulation with the FMU's own values after one with other values.
     """
 
     experiment: int
@@ -154,11 +152,11 @@ class SimulationCost:
     Attributes
     ----------
     seconds
-        Of one, the median.
+        Median time of a simulation.
     leak
-        Bytes that each leaves behind; None if there were too few to say.
+        Bytes leaked by each simulation; None if there were too few simulations.
     count
-        How many were simulated.
+        Number of simulations.
     """
 
     seconds: float
@@ -168,7 +166,7 @@ class SimulationCost:
 
 @dataclass(frozen=True)
 class CostProbe(FmuProbe):
-    """Asks for the cost of many simulations, within about some seconds and a number of them."""
+    """Measures the cost of simulations, within a time limit and a maximum number."""
 
     experiment: int
     point: FloatArray
@@ -199,7 +197,7 @@ class CostProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class InstanceProbe(FmuProbe):
-    """Asks for the number of instances at once, up to `max_count`, and the message of the next."""
+    """Returns the possible number of instances, up to `max_count`, and the error of the next."""
 
     max_count: int = 3
 
@@ -215,16 +213,16 @@ class InstanceProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class MovementProbe(FmuProbe):
-    """Asks how far each of some points comes from the first one, in the outputs.
+    """Measures the distance of the outputs at several points from those at the first point.
 
     Attributes
     ----------
     experiment, point
-        Where it begins.
+        The experiment and the first point.
     others : (n, values)
-        What is compared with it.
+        The other points.
     seconds
-        After which the rest is left out.
+        Time limit, after which the remaining points are omitted.
     """
 
     experiment: int
@@ -234,7 +232,7 @@ class MovementProbe(FmuProbe):
     seconds: float
 
     def answer(self, evaluator: Evaluator) -> list[float | str]:
-        """For each point a distance, or what went wrong there."""
+        """Return the distance of each point, or the error message of its simulation."""
         end = time.monotonic() + self.seconds
         simulator = _simulator_with_reset(evaluator, self.experiment, self.reset)
         base = _outputs(simulator.run(0, self.point[None]))
@@ -250,7 +248,7 @@ class MovementProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class SolverProbe(FmuProbe):
-    """Asks how far another solver, or other settings of it, take each output from the model's."""
+    """Measures how much other solver settings change each output."""
 
     experiment: int
     point: FloatArray
@@ -267,7 +265,7 @@ class SolverProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class StiffnessProbe(FmuProbe):
-    """Asks whether the model is stiff."""
+    """Tests whether the model is stiff."""
 
     experiment: int
     point: FloatArray
@@ -277,13 +275,13 @@ class StiffnessProbe(FmuProbe):
 
 
 def _simulator_with_reset(evaluator: Evaluator, experiment: int, reset: ResetPolicy) -> Simulator:
-    """Return a simulator of the same with another reset policy."""
+    """Return a simulator of the same model and experiment with another reset policy."""
     model = replace(evaluator.model, reset=reset)
     return _simulator_of(evaluator, model, evaluator.experiments[experiment])
 
 
 def _simulator_of(evaluator: Evaluator, model: Model, experiment: Experiment) -> Simulator:
-    """Return a simulator of another model or experiment, on the same instance."""
+    """Return a simulator of another model or experiment with the same instance."""
     simulator = Simulator(model, evaluator.description, (experiment,))
     simulator.load(evaluator.simulator.instance)
     return simulator
@@ -295,7 +293,7 @@ def _outputs(batch: SimulationBatch) -> FloatArray:
     Raises
     ------
     ModelError
-        If it failed.
+        If the simulation failed.
     """
     if batch.codes[0] != failure.FINISHED:
         raise ModelError(batch.messages[0])
@@ -311,7 +309,7 @@ def _distance(simulator: Simulator, point: FloatArray, first: FloatArray) -> flo
 
 
 REPEATS = 2
-"""The quicker of so many counts: the first has something to prepare."""
+"""Number of repetitions, of which the fastest counts; the first includes preparations."""
 
 
 @dataclass(frozen=True)
@@ -321,7 +319,7 @@ class SensitivityCost:
     Attributes
     ----------
     plain, carrying
-        Without and with the derivatives by all parameters.
+        Without and with derivatives by all parameters.
     """
 
     plain: float
@@ -330,7 +328,7 @@ class SensitivityCost:
 
 @dataclass(frozen=True)
 class SensitivityCostProbe(FmuProbe):
-    """Times both ways at one point of an experiment; no answer without sensitivities."""
+    """Measures the time with and without sensitivities; None if they are not available."""
 
     experiment: int
     point: FloatArray
@@ -352,7 +350,7 @@ class SensitivityCostProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class DirectionalProbe(FmuProbe):
-    """Asks for them at the end of a simulation, in model exchange."""
+    """Checks directional derivatives at the end of a simulation, in model exchange."""
 
     experiment: int
     point: FloatArray

@@ -1,1 +1,1 @@
-"""An FMU in a process of its own, which may crash, hang or leak."""
+"""FMUs in separate processes, which may crash, hang or leak memory."""

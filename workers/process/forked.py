@@ -1,7 +1,8 @@
-"""Processes that stand ready in milliseconds: template, fork servers and forks, from outside.
+"""Client side of the template, fork servers and forks, which start a process in milliseconds.
 
-What they say to each other stands here, and so does who starts and asks them. Whoever only asks
-imports this alone: an evaluator, and all that it needs, stays in the processes that simulate.
+This module contains the messages between these processes, and the code that starts and calls them.
+A process that only calls them imports this module alone. Evaluators and their dependencies are
+imported only in processes that simulate.
 """
 
 from __future__ import annotations
@@ -31,22 +32,22 @@ from workers.process.progress_watch import SharedProgress
 from workers.wire import OutcomeColumns
 
 FORK, FORK_FOR_EFFECTS, END = "fork", "fork for effects", "end"
-"""What a fork server is told."""
+"""Orders to a fork server."""
 
 Installation = tuple[Model, tuple[Experiment, ...], str]
-"""The model, the experiments and the worker's name: what an `Evaluator` is made of."""
+"""The model, the experiments and the worker's name: the arguments of an `Evaluator`."""
 
 
 @dataclass(frozen=True)
 class StartOrder:
-    """A fork server that is wanted. Three handles follow: orders, progress, standard error.
+    """Order to start a fork server. Three handles follow: orders, progress, standard error.
 
     Attributes
     ----------
     installation
-        What its processes make their evaluators of.
+        Arguments of the evaluators in its processes.
     environment, folder
-        What the program has now: its environment variables, and the folder that it works in.
+        The program's current environment variables and working folder.
     """
 
     installation: Installation
@@ -56,16 +57,16 @@ class StartOrder:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """Answers to a batch, and what the process has come to.
+    """Answers to a batch, and the state of the process.
 
     Attributes
     ----------
     answers
         In the order of the batch.
     resident, instances
-        Bytes in memory, and FMU instances that it has made.
+        Bytes in memory, and number of FMU instances that the process has made.
     spent
-        Whether it can make no instance any more, which may have failed tasks after the first.
+        Whether the process can make no more instances, so tasks after the first may have failed.
     """
 
     answers: OutcomeColumns
@@ -76,14 +77,14 @@ class BatchReport:
 
 Answer = TypeVar("Answer")
 MOST_WAITING = 4096
-"""Programs that may wait for a shared template at once."""
+"""Number of programs that may wait for a shared template at once."""
 
 
 class TemplateClient:
-    """The template process of this program, or one that it shares with others on this machine.
+    """The template process of this program, or one shared with other programs on this machine.
 
-    It is started when it is needed first, and again if somebody has killed it or an environment
-    variable has changed that it could only read when it started.
+    It is started when it is first needed. It is started again if it was killed, or if an
+    environment variable has changed that a process reads only at its start.
     """
 
     def __init__(self) -> None:
@@ -94,14 +95,14 @@ class TemplateClient:
         self._group = ""
 
     def share(self, group: str) -> None:
-        """Share one template with all programs of a group on this machine, from now on.
+        """From now on, share one template with all programs of a group on this machine.
 
-        Many workers are ready sooner and need less memory if not each has a template of its own.
+        Many workers with a common template start faster and need less memory.
 
         Parameters
         ----------
         group
-            A name that nobody can guess who does not belong to it.
+            A name that cannot be guessed by others.
         """
         with self._lock:
             self._close()
@@ -113,21 +114,21 @@ class TemplateClient:
         Parameters
         ----------
         installation
-            What its processes make their evaluators of.
+            Arguments of the evaluators in its processes.
         orders
-            Descriptor of the connection that it takes its orders from.
+            Descriptor of the connection from which it receives orders.
         progress
-            Descriptor of the memory that its processes note their progress in.
+            Descriptor of the memory in which its processes record their progress.
 
         Returns
         -------
         int
-            The id of its process.
+            The process id.
 
         Raises
         ------
         OSError
-            If none can be started.
+            If it cannot be started.
         """
         order = StartOrder(installation, _environment(installation[0].environment), _folder())
         with self._lock, _standard_error() as errors:
@@ -135,14 +136,14 @@ class TemplateClient:
             return _at_second_try(lambda: self._ask(order, handles))
 
     def close(self) -> None:
-        """End it; fork servers that came from it go on. Again does nothing."""
+        """End the template; its fork servers continue. A second call does nothing."""
         with self._lock:
             if self._orders is not None:
                 _hang_up(self._orders)
             self._close()
 
     def forget(self) -> None:
-        """Leave it to the program that this one was forked from."""
+        """Leave the template to the parent process from which this process was forked."""
         self._lock = threading.Lock()
         self._close()
 
@@ -150,10 +151,10 @@ class TemplateClient:
         connection = self._started(order.environment)
         try:
             connection.send(order)
-            for handle in handles:  # the process's id matters on systems that cannot fork
+            for handle in handles:  # the process id is needed on systems without fork
                 reduction.send_handle(connection, handle, os.getpid())
             server: int = connection.recv()
-        except BaseException:  # what it would answer is nobody's any more
+        except BaseException:  # nobody will read its answer any more
             self._close()
             raise
         return server
@@ -169,7 +170,7 @@ class TemplateClient:
         return self._orders
 
     def _own(self, environment: dict[str, str], address: Path | None) -> Connection:
-        """Start one, for all that have its address if it has one."""
+        """Start a template, and share it if it has an address."""
         mine, theirs = socket.socketpair()
         with theirs, contextlib.ExitStack() as until_started:
             passed, words = [theirs.fileno()], [str(theirs.fileno())]
@@ -178,7 +179,7 @@ class TemplateClient:
                 passed.append(listener.fileno())
                 words += [str(listener.fileno()), str(address)]
             self._process = subprocess.Popen(
-                # -P: a signal.py or numpy.py in the current folder is not what is imported
+                # -P: do not import a signal.py or numpy.py in the current folder
                 [sys.executable, "-P", "-m", "workers.process.template", *words],
                 pass_fds=passed,
                 start_new_session=True,
@@ -190,12 +191,12 @@ class TemplateClient:
         if self._orders is not None:
             self._orders.close()
         if self._process is not None:
-            self._process.wait()  # a shared one has left it, and goes on for the others
+            self._process.wait()  # a shared template has left this process and continues for others
         self._orders = self._process = None
 
 
 def _at_second_try(ask: Callable[[], Answer]) -> Answer:
-    """Ask a process for another one, and its successor if it has ended."""
+    """Call `ask` and return its result; if the process has ended, call it a second time."""
     with contextlib.suppress(EOFError, OSError):
         return ask()
     try:
@@ -205,19 +206,19 @@ def _at_second_try(ask: Callable[[], Answer]) -> Answer:
 
 
 def _hang_up(connection: Connection) -> None:
-    """End a connection for the other side too where a copy that an FMU has forked holds it open."""
+    """Shut down a connection, even if a process that an FMU has forked holds a copy of it."""
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(connection.fileno())) as held:
         held.shutdown(socket.SHUT_RDWR)
 
 
 def shared_address(group: str, read_at_start: dict[str, str]) -> Path:
-    """Return where the template of a group listens whose environment holds such variables."""
+    """Return the socket address of a group's template with these environment variables."""
     kind = hashlib.sha256(repr(sorted(read_at_start.items())).encode()).hexdigest()[:8]
     return Path(tempfile.gettempdir()) / f"cluster-est-{group}" / kind
 
 
 def _joined(address: Path | None) -> Connection | None:
-    """A connection to the template that listens there; None if none does."""
+    """Return a connection to the template at an address; None if there is none."""
     if address is None:
         return None
     joining = socket.socket(socket.AF_UNIX)
@@ -230,9 +231,9 @@ def _joined(address: Path | None) -> Connection | None:
 
 
 def _listening(address: Path) -> socket.socket | None:
-    """A socket that listens there, in place of one whose template has ended; None if none can.
+    """Return a socket that listens at an address, replacing that of an ended template, or None.
 
-    It takes the address before its template runs, so that whoever comes next waits for this one.
+    It exists before its template runs, so that clients that come later wait for this template.
     """
     listener = socket.socket(socket.AF_UNIX)
     own = address.with_name(f"{address.name}-{uuid.uuid4().hex[:6]}")
@@ -241,16 +242,16 @@ def _listening(address: Path) -> socket.socket | None:
         listener.bind(str(own))
         listener.listen(MOST_WAITING)
         own.rename(address)
-    except OSError:  # no such folder, or its name is too long for a socket: it is not shared
+    except OSError:  # no such folder, or its name is too long for a socket
         listener.close()
         return None
     return listener
 
 
 def _environment(given: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Return this program's environment with what an FMU needs.
+    """Return this program's environment together with the variables that an FMU needs.
 
-    The template finds this package in it too.
+    `PYTHONPATH` lets the template find this package.
     """
     found = {**os.environ, "OPENBLAS_NUM_THREADS": "1", **dict(given)}
     own = str(Path(__file__).parents[2])
@@ -260,7 +261,7 @@ def _environment(given: Sequence[tuple[str, str]]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _standard_error() -> Iterator[int]:
-    """The descriptor of this program's standard error; of a program without one, of nowhere."""
+    """Yield the descriptor of this program's standard error; without one, that of os.devnull."""
     if sys.__stderr__ is not None:
         yield sys.__stderr__.fileno()
         return
@@ -269,7 +270,7 @@ def _standard_error() -> Iterator[int]:
 
 
 def _folder() -> str:
-    """Return the folder that this program works in; "" if that has been removed."""
+    """Return the working folder of this program; "" if it was removed."""
     try:
         return os.getcwd()
     except OSError:
@@ -291,25 +292,25 @@ if hasattr(os, "register_at_fork"):
 
 
 CAN_FORK = hasattr(os, "fork")
-"""Whether this system has processes of this kind; Windows has not."""
+"""Whether this system can fork processes; Windows cannot."""
 
 
 class ForkClient:
-    """Starts processes that serve an installation, and says how they ended.
+    """Starts processes that serve an installation, and returns their exit codes.
 
-    The process that forks them is started with the first, and again if somebody has killed it.
+    The fork server is started with the first process, and again if it was killed.
 
     Parameters
     ----------
     installation
-        What each process is given; see `workers.process.template.serve`.
+        Arguments of the evaluators; see `workers.process.template.serve`.
 
     Attributes
     ----------
     progress
-        What the process has done that was forked last; see `workers.messages.types`.
+        Progress of the process that was forked last; see `workers.messages.types`.
     server
-        The id of the process that forks them; 0 before the first.
+        Process id of the fork server; 0 before the first fork.
 
     Raises
     ------
@@ -331,25 +332,25 @@ class ForkClient:
         self.server = 0
 
     def fork(self, *, effects: bool = False) -> tuple[int, Connection]:
-        """A new process: its id, and a connection to it.
+        """Start a new process; return its id, and a connection to it.
 
         Parameters
         ----------
         effects
-            Whether it will be asked for effects, which take half a second to import.
+            Whether it will simulate effects, whose import takes half a second.
 
         Raises
         ------
         OSError
-            If none can be started.
+            If it cannot be started.
         """
         self.progress[:] = 0
         return _at_second_try(lambda: self._fork(effects))
 
     def wait(self, process: int) -> int | None:
-        """The exit code of a process that ends, or minus the signal that ended it.
+        """Wait for a process to end; return its exit code, or minus the signal that ended it.
 
-        None if nobody knows.
+        None if the code is unknown.
         """
         if self._orders is None:
             return None
@@ -361,7 +362,7 @@ class ForkClient:
         return code
 
     def close(self) -> None:
-        """End all processes. Again does nothing."""
+        """End all processes. A second call does nothing."""
         self._stop()
         self._shared.close()
 
@@ -373,7 +374,7 @@ class ForkClient:
                 orders.send(FORK_FOR_EFFECTS if effects else FORK)
                 reduction.send_handle(orders, theirs.fileno(), self.server)
                 process: int = orders.recv()
-        except BaseException:  # what it would answer is nobody's any more
+        except BaseException:  # nobody will read its answer any more
             mine.close()
             self._stop()
             raise
@@ -389,7 +390,7 @@ class ForkClient:
         return Connection(mine.detach())
 
     def _stop(self) -> None:
-        """End the fork server, and wait until it is gone and has ended all that it forked."""
+        """End the fork server, and wait until it and its processes have ended."""
         if self._orders is None:
             return
         with self._orders as orders, contextlib.suppress(EOFError, OSError):

@@ -1,9 +1,9 @@
-"""Telling a process that stands still from one that waits for its turn on a busy machine.
+"""Detection of a process that makes no progress, in contrast to one that waits on a busy machine.
 
-A process that is simulated in notes its progress in memory that it shares with the one that waits
-for it. While nothing is noted, the time counts in which something could have been: the processor
-time that it was given, and the time that it slept of its own accord. While it is ready to run and
-others are running, or somebody has stopped it, no time passes for it.
+A simulating process records its progress in memory shared with the process that waits for it. As
+long as there is no progress, only usable time counts: its processor time, and the time that it
+sleeps. Time in which it is ready to run but does not run, or in which it is stopped, does not
+count.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from workers.messages import IntArray
 from workers.messages.types import CALLED, RUNNING, SIMULATIONS, no_watcher
 
 LATE_SECONDS = 1.0
-"""Seconds of sleep that count from one look to the next: who looks so rarely was kept from
-looking."""
+"""Longest time, in seconds, that counts as sleep between two observations. A longer interval means
+that the observer itself was delayed."""
 WAITING = "RTtD"
-"""States of Linux in which a thread would go on if it were let: ready to run, stopped, or waiting
-for a disk, as on a machine whose memory is short. `executor.timeout` ends it all the same."""
+"""States of Linux in which a thread cannot run although it could continue: ready to run, stopped,
+or waiting for a disk, as on a machine short of memory. `executor.timeout` applies nevertheless."""
 
 
 class SharedProgress:
-    """Progress in memory that this process and those that are given its descriptor share.
+    """Progress in memory shared by this process and all that receive its descriptor.
 
     Attributes
     ----------
     descriptor
-        Of the memory, to be mapped by `map_progress`.
+        Descriptor of the memory, for `map_progress`.
     progress
         See `workers.messages.types`.
     """
@@ -45,28 +45,28 @@ class SharedProgress:
         self.progress = map_progress(self.descriptor)
 
     def close(self) -> None:
-        """Give the descriptor back. Again does nothing."""
+        """Close the descriptor. A second call does nothing."""
         if self.descriptor >= 0:
             os.close(self.descriptor)
             self.descriptor = -1
 
 
 def map_progress(descriptor: int) -> IntArray:
-    """The progress in memory that another process has made."""
+    """Return the progress in memory that another process has made."""
     memory = mmap.mmap(descriptor, mmap.PAGESIZE)
     return np.frombuffer(memory, np.int64, count=len(no_watcher()))
 
 
 @dataclass(frozen=True)
 class ProcessActivity:
-    """The state of a process, as the system gives it.
+    """The state of a process, as reported by the operating system.
 
     Attributes
     ----------
     waiting
-        Whether one of its threads would go on if it were let.
+        Whether one of its threads is in a state of `WAITING`.
     seconds
-        Of processor time that it was given so far.
+        Processor time so far.
     """
 
     waiting: bool
@@ -74,7 +74,7 @@ class ProcessActivity:
 
     @classmethod
     def of(cls, process: int) -> ProcessActivity | None:
-        """None where the system does not say."""
+        """Return the state of a process; None if the system does not report it."""
         try:
             text = Path(f"/proc/{process}/stat").read_text(encoding="ascii", errors="replace")
             fields = text.rpartition(")")[2].split()
@@ -87,19 +87,19 @@ class ProcessActivity:
 
 
 class ProgressWatch:
-    """Looks at a process from time to time.
+    """Observes the progress of a process.
 
     Parameters
     ----------
     process
-        Its id.
+        Process id.
     progress
-        That it notes; a look erases that there was a call.
+        Progress that the process records; an observation resets its flag of a call.
 
     Attributes
     ----------
     still
-        Seconds for which it has stood still.
+        Seconds without progress.
     """
 
     def __init__(self, process: int, progress: IntArray) -> None:
@@ -111,13 +111,13 @@ class ProgressWatch:
         self._simulated = 0.0
 
     def look(self) -> None:
-        """Count the time since the last look."""
+        """Count the time since the last observation."""
         now, activity = time.monotonic(), ProcessActivity.of(self._process)
         called, *begun = self._progress.tolist()
         self._progress[CALLED] = 0
         if begun[0] != self._begun[0]:
             self._simulated = 0.0
-        else:  # who looks so rarely was kept from looking, and so was the simulation
+        else:  # a long interval means that observer and simulation were delayed
             self._simulated += min(now - self._looked, LATE_SECONDS)
         passed = self._passed(now - self._looked, activity)
         self.still = 0.0 if called or begun != self._begun else self.still + passed
@@ -125,16 +125,16 @@ class ProgressWatch:
 
     @property
     def simulates(self) -> bool:
-        """True while a simulation is under way; else it prepares one, or compares what it gave."""
+        """Whether a simulation is running; otherwise one is prepared or compared with data."""
         return bool(self._progress[RUNNING])
 
     @property
     def simulated(self) -> float:
-        """Seconds since the simulation was first seen that is under way."""
+        """Seconds since the running simulation was first observed."""
         return self._simulated if self.simulates else 0.0
 
     def _passed(self, seconds: float, activity: ProcessActivity | None) -> float:
-        """Return the part of some seconds since the last look that it could have used."""
+        """Return the part of the seconds since the last observation that the process could use."""
         if activity is None or self._activity is None or not activity.waiting:
             return min(seconds, LATE_SECONDS)
         return min(seconds, activity.seconds - self._activity.seconds)

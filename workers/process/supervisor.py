@@ -1,13 +1,13 @@
-"""Simulations in a process of their own: one that crashes, hangs or leaks costs only itself.
+"""Simulations in a separate process, so that a crash, a hang or a leak affects only that process.
 
-A batch is sent to a forked process. If that dies or has to be ended, each task of it is asked
-again alone. One that has failed twice, the last time in a process in which nothing was simulated
-before, is an outcome with the reason. For some time after, tasks go one by one, so that the next
-failure costs its neighbours nothing.
+A batch is sent to a forked process. If the process dies or must be ended, each task is simulated
+again alone. A task that has failed twice, the last time in a new process, gets an outcome with the
+reason. For some time after a failure, tasks are sent one by one, so that the next failure affects
+no other task.
 
-No simulation is ended because others were quicker, or because the machine is busy: steps are
-counted by the solvers (`Solver.max_steps`), and what stands still is told from what waits for its
-turn (see `workers.process.progress_watch`). Only `Limits.seconds` goes by the clock on the wall.
+No simulation is ended because others were faster or because the machine is busy. The solvers count
+steps (`Solver.max_steps`), and `workers.process.progress_watch` distinguishes a stalled process
+from a waiting one. Only `Limits.seconds` is measured in wall-clock time.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from workers.process.progress_watch import ProgressWatch
 from workers.wire import TaskBatch
 
 LOAD_SECONDS = 300.0
-"""Seconds for which a process may stand still outside of a simulation: it loads the FMU, or
-compares the outputs with what was measured."""
+"""Longest time without progress, in seconds, outside of a simulation: while the FMU is loaded, or
+outputs are compared with measurements."""
 
 
 @dataclass(frozen=True)
 class ProcessFailure:
-    """Why a process did not answer."""
+    """The reason why a process did not answer."""
 
     status: Status
     message: str
 
     @property
     def from_outside(self) -> bool:
-        """True if somebody else ended it, so that the simulation is not to blame."""
+        """Whether another program ended the process, so the simulation is not the cause."""
         return self.status is Status.LOST_WORKER
 
 
 def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
-    """Why a simulation is not waited for any longer; None if it is."""
+    """Return why a simulation must be stopped; None to continue."""
     if watch.simulated > limits.seconds:
         return ProcessFailure(
             Status.TIMEOUT,
@@ -66,7 +66,7 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
 
 
 def _too_late_outside(watch: ProgressWatch, most: float) -> ProcessFailure | None:
-    """Return the failure of a process that stands still before or after a simulation."""
+    """Return the failure of a process without progress before or after a simulation."""
     if watch.still <= most:
         return None
     return ProcessFailure(
@@ -78,7 +78,7 @@ def _too_late_outside(watch: ProgressWatch, most: float) -> ProcessFailure | Non
 
 
 def too_large(child: int, limits: Limits) -> ProcessFailure | None:
-    """Return the failure of a process that has more memory than it may; None if it has not."""
+    """Return the failure of a process that uses too much memory; None otherwise."""
     resident = resident_bytes(child)
     if resident <= limits.memory:
         return None
@@ -90,7 +90,7 @@ def too_large(child: int, limits: Limits) -> ProcessFailure | None:
 
 
 def how_it_ended(code: int | None) -> ProcessFailure:
-    """Return the failure of a process that ended in the middle of a simulation."""
+    """Return the failure of a process that ended during a simulation."""
     if code is None or code == -signal.SIGKILL:
         message = "the process was killed from outside, perhaps because memory ran out"
         return ProcessFailure(Status.LOST_WORKER, message)
@@ -109,38 +109,37 @@ def _signal_name(number: int) -> str:
 
 
 WATCH_SECONDS = 0.1
-"""Seconds from one look at the memory and the progress of a running simulation to the next."""
+"""Seconds between two observations of the memory and progress of a running simulation."""
 SELDOM_SECONDS = 1.0
-"""Seconds between two looks where no limit is so narrow that it matters: a look costs a tenth of a
-millisecond."""
+"""Seconds between two observations if all limits are wide; an observation takes 0.1 ms."""
 WIDE_LIMIT = 20.0
-"""Times `SELDOM_SECONDS`, from which on a limit is not narrow."""
+"""A limit is wide from this multiple of `SELDOM_SECONDS` on."""
 MOST_TRIES, MOST_KILLS = 2, 10
-"""How often a simulation may fail, and how often it may be killed from outside."""
+"""Number of times that a simulation may fail, and may be killed by another program."""
 CAREFUL = 500
-"""Tasks in a row without a failure before they travel in batches again."""
+"""Number of consecutive tasks without a failure before tasks are sent in batches again."""
 MOST_INSTANCES = 900
-"""Instances of an FMU in one process; some tools' FMUs die at about 1000."""
+"""Most instances of an FMU in one process; FMUs of some tools crash at about 1000."""
 
 
 class LostError(Exception):
-    """A process was killed from outside while it began; another one may do."""
+    """A process was killed by another program at its start; a new one may succeed."""
 
 
 class SupervisedEvaluator:
-    """An evaluator in a process of its own.
+    """An evaluator in a separate process.
 
     Parameters
     ----------
     model, experiments, name
         As for `Evaluator`.
     limits
-        When a simulation is ended from outside.
+        Limits at which a simulation is stopped.
 
     Raises
     ------
     ModelError
-        If the FMU cannot be loaded, or the process dies while it is.
+        If the FMU cannot be loaded, or the process ends during loading.
     """
 
     def __init__(
@@ -163,7 +162,7 @@ class SupervisedEvaluator:
             raise
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
-        """Answer every task of a batch, in its order."""
+        """Answer every task of a batch, in the same order."""
         failed = 0
         together = self._reset in ("auto", "reset")
         if together and self._careful == 0 and self._is_known(batch):
@@ -175,16 +174,16 @@ class SupervisedEvaluator:
         return [self._alone(task, failed) for task in batch.tasks()]
 
     def once(self, task: Task) -> Outcome:
-        """Answer one task at the first attempt, whatever becomes of it."""
+        """Answer one task with a single attempt."""
         found = self._ask(TaskBatch.of([task]))
         return found[0] if isinstance(found, list) else self._failed(task, found)
 
     def free_instance(self) -> None:
-        """End the process while nothing is asked; the next task begins another one."""
+        """End the process while it is idle; the next task starts a new one."""
         self._end(kill=True)
 
     def stop(self) -> None:
-        """End what is simulated, from another thread; all that is asked from now on fails."""
+        """Stop the simulation from another thread; all later tasks fail."""
         self._stopped = True
         child = self._child
         if child is not None:
@@ -192,15 +191,16 @@ class SupervisedEvaluator:
                 os.kill(child[0], signal.SIGKILL)
 
     def close(self) -> None:
-        """End the processes, whatever they are doing; only after `stop` if a thread waits."""
+        """End the processes. If another thread is waiting for an answer, call `stop` first."""
         self._stopped = True
         self._end(kill=True)
         self._forks.close()
 
     def _alone(self, task: Task, failed: int) -> Outcome:
-        """The outcome of one task, which has failed so many times with its batch.
+        """Return the outcome of one task, which has failed `failed` times with its batch.
 
-        What others leave behind in a process, memory above all, must not make it fail.
+        It is repeated until it has failed in a new process, because leftovers of other simulations,
+        such as leaked memory, must not make it fail.
         """
         self._careful = max(self._careful - 1, 0)
         lost = 0
@@ -219,7 +219,7 @@ class SupervisedEvaluator:
         return Outcome(task.id, failure.status, message=failure.message, worker=self._name)
 
     def _ask(self, batch: TaskBatch) -> list[Outcome] | ProcessFailure:
-        """One attempt: the outcomes, or the reason of its failure."""
+        """Make one attempt; return the outcomes, or the reason of the failure."""
         try:
             child, connection = self._child or self._begin()
         except ModelError as error:
@@ -234,7 +234,7 @@ class SupervisedEvaluator:
             report: BatchReport | None = None if failure else connection.recv()
         except (EOFError, OSError):
             failure, report = None, None
-        except BaseException:  # interrupted: what it would answer is nobody's any more
+        except BaseException:  # interrupted: nobody will read its answer any more
             self._end(kill=True)
             raise
         if report is None:
@@ -243,21 +243,21 @@ class SupervisedEvaluator:
         outcomes = report.answers.outcomes()
         if report.spent:
             self._end(kill=True)
-            if len(outcomes) > 1:  # those that came after the fatal error were not simulated
+            if len(outcomes) > 1:  # tasks after the fatal error were not simulated
                 return ProcessFailure(Status.LOST_WORKER, "another simulation ended its process")
         self._known.update(batch.experiments.tolist() if batch.want in USUAL else [])
         if self._reset == "process":
-            self._end(kill=True)  # it has answered, and nothing waits for how it ends
+            self._end(kill=True)  # it has answered; its exit code does not matter
         elif self._has_grown(report):
             self._end(kill=True)  # freeing the FMU may hang, and its memory goes with the process
         return outcomes
 
     def _wait(self, child: int, connection: Connection) -> ProcessFailure | None:
-        """Wait for an answer; why not, if it stands still, or time or memory ran out."""
+        """Wait for an answer; return a failure if a limit is exceeded."""
         limits = self._limits
         wide = min(limits.seconds, limits.stall) >= WIDE_LIMIT * SELDOM_SECONDS
         pause = SELDOM_SECONDS if wide and limits.memory == float("inf") else WATCH_SECONDS
-        if connection.poll(pause):  # most answers are there before the first look
+        if connection.poll(pause):  # most answers arrive before the first observation
             return None
         watch = ProgressWatch(child, self._forks.progress)
         while not connection.poll(pause):
@@ -268,14 +268,15 @@ class SupervisedEvaluator:
         return None
 
     def _is_known(self, batch: TaskBatch) -> bool:
-        """Return whether such simulations travel together.
+        """Return whether the tasks of a batch are sent together.
 
-        The first ones, which may take minutes, go alone: a failure does not cost them all.
+        The first simulations of an experiment may take minutes, so they are sent one by one. Then a
+        failure affects only one of them.
         """
         return batch.want in USUAL and self._known.issuperset(batch.experiments.tolist())
 
     def _has_grown(self, report: BatchReport) -> bool:
-        """Return whether the process should be replaced before it fails: the FMU leaks."""
+        """Return whether to replace the process because of a memory leak or many instances."""
         self._base = self._base or report.resident
         grown = report.resident - self._base > self._limits.growth
         return grown or report.instances > MOST_INSTANCES
@@ -290,7 +291,7 @@ class SupervisedEvaluator:
                     raise ModelError(f"{self._file}: cannot be loaded: {error}") from error
 
     def _begin(self) -> tuple[int, Connection]:
-        """Fork a process and wait until it has loaded the FMU."""
+        """Fork a process, and wait until it has loaded the FMU."""
         if self._stopped:
             raise ModelError(f"{self._file}: its worker was stopped")
         self._base, self._used = 0, False
@@ -310,7 +311,7 @@ class SupervisedEvaluator:
                         "that it does not wait for a licence or a window"
                     )
             said = connection.recv()
-        except KeyboardInterrupt:  # nobody will ask this process whether it has loaded
+        except KeyboardInterrupt:  # nobody will wait for this process any more
             self._end(kill=True)
             raise
         except (EOFError, OSError) as error:
@@ -328,7 +329,7 @@ class SupervisedEvaluator:
         return self._child
 
     def _end(self, *, kill: bool) -> int | None:
-        """End the process; its exit code, or minus the signal that ended it."""
+        """End the process; return its exit code, or minus the signal that ended it."""
         if self._child is None:
             return None
         child, connection = self._child

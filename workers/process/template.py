@@ -1,22 +1,21 @@
-"""The process that fork servers are copied from, and the fork servers: all imports are done there.
+"""The template process and the fork servers, which are forked from it. All imports are done there.
 
-There is one template for a program, or for all actors of a pool on one machine, started with the
-first FMU that needs a process of its own; for every other one a fork server is there in
-milliseconds instead of the second that imports take. Nothing of an FMU is ever loaded in the
-template, so that no FMU leaves anything to another. It ends when all who have a connection to it
-have closed that or ended; the fork servers that came from it have connections of their own and do
+A program has one template; all actors of a pool on one machine share one. It starts with the first
+FMU that needs a separate process. A fork server then starts in milliseconds instead of the second
+that imports take. The template never loads an FMU, so FMUs cannot influence each other. It ends
+when all clients have closed their connections. Its fork servers have their own connections and do
 not need it.
 
-A fork server forks the processes of one installation. Forking a worker itself would copy locks that
-its other threads hold; a fork server never has a second thread. It comes from the template with its
-evaluator prepared, does what a `ForkClient` says over one connection, and ends, with all that it
-has forked, when the connection ends or it is told to.
+A fork server forks the processes of one installation. Forking a worker itself would copy locks held
+by its other threads; a fork server never has a second thread. It starts with a prepared evaluator
+and executes the orders of a `ForkClient`. It ends with all its processes when the connection ends
+or when it is ordered to.
 
-The fork server of `multiprocessing` is not used because it prepares modules, not objects: each of
-its children would be sent the model and the experiments and prepare the evaluator again. There is
-one for a whole program, not one for each model, so what FMUs print could not be kept apart, and it
-imports the program's main module. When a parent is killed it ends without its children: one that
-simulates goes on until it reads from its connection.
+The fork server of `multiprocessing` is not used because it prepares modules, not objects. Each of
+its children would receive the model and the experiments and prepare the evaluator again. There is
+one for a whole program, not one for each model, so output printed by FMUs could not be separated.
+It also imports the program's main module. If a parent is killed, it ends without its children: a
+simulating child continues until it reads from its connection.
 """
 
 from __future__ import annotations
@@ -54,12 +53,12 @@ from workers.wire import OutcomeColumns
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux's prctl."""
 FIRST_TO_GO = "1000"
-"""What Linux ends first when memory runs out."""
+"""Score that makes Linux end the process first when memory runs out."""
 
 
 def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
-    """Load the FMU, say None or the ModelError, then answer batches until there are no more."""
-    gc.freeze()  # what was forked is shared with others as long as nobody writes to it
+    """Load the FMU, send None or a ModelError, then answer batches until the connection ends."""
+    gc.freeze()  # unmodified memory stays shared with the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _leave_before_others()
     try:
@@ -91,7 +90,7 @@ def _probed(probe: FmuProbe, evaluator: Evaluator) -> Any:
 
 
 def _leave_before_others() -> None:
-    """End when the parent does, even in the middle of a simulation; go first if memory is short."""
+    """End with the parent, even during a simulation, and be killed first if memory is short."""
     if sys.platform != "linux":
         return
     ctypes.CDLL(None).prctl(DIES_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
@@ -100,15 +99,15 @@ def _leave_before_others() -> None:
 
 
 def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
-    """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process.
+    """Execute orders: `FORK` with a connection's handle, or the id of a process to wait for.
 
-    `evaluator` is ready but for the FMU; or what is wrong with it, for the processes to say.
+    `evaluator` is complete except for the FMU, or is the error that the processes report.
     """
     running: set[int] = set()
     if isinstance(evaluator, Evaluator):
         model = evaluator.model
-        with contextlib.suppress(ModelError):  # which those say that load it
-            unpack(model.name, model.archive, model.archive_hash)  # compared once for all of them
+        with contextlib.suppress(ModelError):  # loading reports the error
+            unpack(model.name, model.archive, model.archive_hash)  # once for all processes
     with contextlib.suppress(EOFError, OSError):
         while (order := orders.recv()) != END:
             if order == FORK_FOR_EFFECTS:
@@ -119,7 +118,7 @@ def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
                 if child == 0:
                     orders.close()
                     draw_anew()
-                    connection = Connection(handle)  # kept: an FMU may have closed it
+                    connection = Connection(handle)  # kept because an FMU may have closed it
                     serve(connection, evaluator)
                     os._exit(0)
                 os.close(handle)
@@ -135,46 +134,46 @@ def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
 
 
 def draw_anew() -> None:
-    """Give a forked process a random state of its own.
+    """Give a forked process its own random state.
 
-    An FMU in Python shares this interpreter. With the state that all forks inherit it would draw
-    the same numbers in each, and what never repeats would seem to. Python's `random` does the same
-    by itself, and NumPy's where it is loaded only afterwards.
+    An FMU in Python uses this interpreter. With the inherited state, it would draw the same numbers
+    in every fork, so a random simulation would seem repeatable. Python's `random` reseeds itself
+    after a fork, and so does NumPy if it is imported later.
     """
     if (loaded := sys.modules.get("numpy.random")) is not None:
         loaded.seed()
 
 
 def main(descriptor: int, listening: int | None = None, address: str = "") -> None:
-    """Start fork servers as told, and say their ids.
+    """Start fork servers by order, and send their process ids.
 
     Parameters
     ----------
     descriptor
-        Of the connection to who has started this process.
+        Descriptor of the connection to the program that has started this process.
     listening, address
-        Descriptor of the socket at which others ask for a connection, and where it is; nothing if
-        there are no others. This process then ends at once and a fork goes on: it is no child of
-        who has started it, and does not end with that.
+        Descriptor and address of the socket for connections of other programs; empty if the
+        template is not shared. A shared template continues in a fork and this process ends at once,
+        so the template is not a child of the program and does not end with it.
     """
     if listening is None:
         _serve([Connection(descriptor)], None)
     elif not os.fork():
         with socket.socket(fileno=listening) as listener:
             _serve([Connection(descriptor)], listener)
-        with contextlib.suppress(OSError):  # somebody else listens there, or has removed it
+        with contextlib.suppress(OSError):  # it was replaced or removed
             Path(address).unlink()
             Path(address).parent.rmdir()
 
 
 def _serve(clients: list[Connection], listener: socket.socket | None) -> None:
-    """Serve all clients, and those that come, until none is left."""
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody asks here how a fork server ended
+    """Serve all clients, including new ones, until none is left."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # exit codes of fork servers are not needed
     others = [] if listener is None else [listener]
     while clients:
         for ready in wait([*clients, *others]):
             if isinstance(ready, socket.socket):
-                with contextlib.suppress(OSError):  # it has gone before it was let in
+                with contextlib.suppress(OSError):  # the client has ended in the meantime
                     clients.append(Connection(ready.accept()[0].detach()))
             elif isinstance(ready, Connection) and not _served(ready, [*clients, *others]):
                 ready.close()
@@ -182,7 +181,7 @@ def _serve(clients: list[Connection], listener: socket.socket | None) -> None:
 
 
 def _served(client: Connection, inherited: Sequence[Connection | socket.socket]) -> bool:
-    """Do what a client asks for; False if it has gone."""
+    """Execute an order of a client; return False if the client has ended."""
     try:
         order: StartOrder = client.recv()
         handles = [reduction.recv_handle(client) for _ in range(3)]
@@ -201,13 +200,13 @@ def _served(client: Connection, inherited: Sequence[Connection | socket.socket])
     gc.collect()  # experiments may be large
     for handle in handles:
         os.close(handle)
-    with contextlib.suppress(OSError):  # it is seen when it is asked next
+    with contextlib.suppress(OSError):  # noticed at the next order
         client.send(server)
     return True
 
 
 def _prepare(installation: Installation, progress: IntArray) -> Evaluator | ModelError:
-    """All but the FMU; what is imported for it stays in this process, for all that follow."""
+    """Return an evaluator without a loaded FMU; its imports stay in this process."""
     try:
         return Evaluator(*installation, load=False, progress=progress)
     except ModelError as error:
@@ -215,15 +214,15 @@ def _prepare(installation: Installation, progress: IntArray) -> Evaluator | Mode
 
 
 def _settle(order: StartOrder, errors: int) -> None:
-    """Take on, in a new fork server, what a process that the program starts would inherit.
+    """Set up a new fork server like a process that the program starts itself.
 
-    What an FMU prints is kept out of what the program prints to its standard output.
+    Output printed by an FMU is kept separate from the program's standard output.
     """
     os.setsid()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     os.environ.clear()
     os.environ.update(order.environment)
-    with contextlib.suppress(OSError):  # it has been removed
+    with contextlib.suppress(OSError):  # the folder was removed
         os.chdir(order.folder)
     os.dup2(errors, 2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -235,4 +234,4 @@ def _settle(order: StartOrder, errors: int) -> None:
 if __name__ == "__main__":
     started, *shared = sys.argv[1:]
     main(int(started), *(int(shared[0]), shared[1]) if shared else ())
-    os._exit(0)  # whoever started it waits for its end
+    os._exit(0)  # its parent waits for this exit

@@ -1,4 +1,4 @@
-"""A place where an FMU is tried out: each question goes to a process of its own, with a limit."""
+"""Test benches for an FMU: each probe runs in a separate process, with a time limit."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from workers.process.forked import CAN_FORK, ForkClient
 
 @dataclass(frozen=True)
 class NoAnswer:
-    """Why there is no answer.
+    """The reason why there is no answer.
 
     Attributes
     ----------
     message
-        Part of a sentence: what happened.
+        Part of a sentence that describes what happened.
     late
-        Whether it only took too long.
+        Whether the time limit was exceeded.
     loading
-        Whether that was before the FMU was there to be asked.
+        Whether it happened while the FMU was loaded.
     crashed
         Whether the process has ended.
     """
@@ -44,34 +44,34 @@ class NoAnswer:
 
 
 class ProbeBench(ABC):
-    """Asks probes about an FMU: in processes of their own, or here where the system has none."""
+    """Runs probes of an FMU: in separate processes, or in this process on systems without fork."""
 
     @staticmethod
     def open(model: Model, experiments: Sequence[Experiment]) -> ProbeBench:
-        """Open the bench that this system has.
+        """Open the bench that this system supports.
 
         Parameters
         ----------
         model, experiments
-            What is tried out.
+            Model and experiments of the probes.
         """
         return (ForkedBench if CAN_FORK else BenchHere)(model, tuple(experiments))
 
     @abstractmethod
     def ask(self, probe: FmuProbe | None, seconds: float) -> Any:
-        """Load the FMU anew and ask it; `NoAnswer` if there is no answer.
+        """Load the FMU anew and run a probe; return `NoAnswer` if there is no answer.
 
         Parameters
         ----------
         probe
-            What is asked; None to load the FMU only.
+            The probe; None to load the FMU only.
         seconds
-            When it is given up, where that can be done.
+            Time limit, if this bench can apply one.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
 
     def __enter__(self) -> Self:
         return self
@@ -82,7 +82,7 @@ class ProbeBench(ABC):
 
 @final
 class ForkedBench(ProbeBench):
-    """Whatever the FMU does, only the process that is asked suffers."""
+    """Runs each probe in a separate process, so a crash affects only that process."""
 
     def __init__(self, model: Model, experiments: tuple[Experiment, ...]) -> None:
         self._forks = ForkClient((model, experiments, "check"))
@@ -115,9 +115,9 @@ class ForkedBench(ProbeBench):
 
 @final
 class BenchHere(ProbeBench):
-    """Asks in this process, for systems without `fork`: an FMU that crashes takes it along.
+    """Runs probes in this process, for systems without `fork`.
 
-    Nor can a question be given up that takes too long.
+    A crash of the FMU ends this process, and time limits do not apply.
     """
 
     def __init__(self, model: Model, experiments: tuple[Experiment, ...]) -> None:
@@ -138,7 +138,7 @@ class BenchHere(ProbeBench):
 
     @override
     def close(self) -> None:
-        """Every question has closed what it opened."""
+        """Do nothing, because every probe has already released its resources."""
 
 
 def _answered(probe: FmuProbe, evaluator: Evaluator) -> Any:

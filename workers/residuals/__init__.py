@@ -1,1 +1,1 @@
-"""From simulated outputs to residuals: one file a kind."""
+"""Conversion of simulated outputs to residuals and constraints."""

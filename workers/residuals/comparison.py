@@ -1,4 +1,4 @@
-"""The contract of what compares a simulation with its experiment."""
+"""Base class of comparisons of a simulation with its experiment."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class SimulatedOutputs:
     Attributes
     ----------
     times : (n,)
-        Of the experiment's grid.
+        Times of the experiment's grid.
     names
-        Of the recorded variables.
+        Names of the recorded variables.
     outputs : (points, n, names)
-        Recorded values; not finite where a simulation stopped early.
+        Recorded values; not finite after a simulation has stopped early.
     values : (points, parameters)
-        The values of the tasks.
+        Values of the tasks.
     """
 
     times: FloatArray
@@ -45,9 +45,9 @@ class ComparisonResult:
 
 
 class Comparison(ABC):
-    """Makes residuals or constraints of simulations; one for each experiment that needs it.
+    """Computes residuals or constraints of simulations; one instance for each experiment.
 
-    How many there are must be the same for every point, because methods subtract them.
+    The number of values must be the same at every point, because methods subtract them.
     """
 
     @abstractmethod
@@ -56,6 +56,6 @@ class Comparison(ABC):
 
 
 def positions(times: FloatArray, grid: FloatArray) -> IntArray:
-    """Return the indices of times on a grid that has each of them."""
+    """Return the indices of times on a grid that contains all of them."""
     found: IntArray = np.searchsorted(grid, times)
     return found

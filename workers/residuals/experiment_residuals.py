@@ -1,7 +1,7 @@
 """Residuals and constraints of one experiment.
 
-Methods that look at nothing but a cost which is a sum over residuals are sent one number in place
-of the residuals of an output.
+A method that needs only a sum over residuals receives one number for each output instead of its
+residuals.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from workers.residuals.observed import ObservedOutputs
 class MeasuredTimes(Comparison):
     """One residual for each measured value, in units of its standard deviation.
 
-    The simulated value stands exactly at the measured time: the grid has it, nothing is
-    interpolated.
+    No interpolation is needed, because the grid contains every measured time.
     """
 
     def __init__(self, grid: SignalGrid) -> None:
@@ -34,11 +33,11 @@ class MeasuredTimes(Comparison):
         grid, outputs = self._grid, simulated.outputs
         # take keeps each point's row contiguous: sums over strided rows round differently
         simulated_values = np.take(outputs.reshape(len(outputs), -1), grid.gather, axis=1)
-        with np.errstate(over="ignore"):  # what overflows is said to be not finite
+        with np.errstate(over="ignore"):  # overflow is reported as not finite
             return ComparisonResult((grid.measured - simulated_values) / grid.sigmas)
 
     def jacobian(self, sensitivities: FloatArray) -> FloatArray:
-        """Return the (parameters, residuals) derivatives, from those of the outputs."""
+        """Return the (parameters, residuals) derivatives, from the derivatives of the outputs."""
         grid = self._grid
         return (
             -np.take(sensitivities.reshape(len(sensitivities), -1), grid.gather, axis=1)
@@ -47,16 +46,16 @@ class MeasuredTimes(Comparison):
 
 
 class SignalBounds(Comparison):
-    """For each side of each bound the largest violation over its times; at most 0 if it is kept.
+    """For each side of each bound, the largest violation over its times; at most 0 if satisfied.
 
     lower: max over t of (lower(t) - y(t)) / scale; upper: max of (y(t) - upper(t)) / scale;
-    equality: the y(t) - lower(t), over scale, that is farthest from 0.
+    equality: the value of (y(t) - lower(t)) / scale with the largest magnitude.
     """
 
     def __init__(self, bounds: tuple[SignalBound, ...]) -> None:
         self._bounds = bounds
 
-    @np.errstate(over="ignore", invalid="ignore")  # what overflows is said to be not finite
+    @np.errstate(over="ignore", invalid="ignore")  # overflow is reported as not finite
     def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         columns = [column for bound in self._bounds for column in _sides(bound, simulated)]
         table = np.array(columns, np.float64).reshape(-1, len(simulated.outputs))
@@ -64,7 +63,7 @@ class SignalBounds(Comparison):
 
 
 def _sides(bound: SignalBound, simulated: SimulatedOutputs) -> list[FloatArray]:
-    """(points,) for each side of a bound."""
+    """Return the largest violation of each side of a bound, (points,) each."""
     rows = positions(bound.times, simulated.times)
     signal = simulated.of(bound.variable)[:, rows]
     if bound.equality:
@@ -80,7 +79,7 @@ def _sides(bound: SignalBound, simulated: SimulatedOutputs) -> list[FloatArray]:
 
 
 class CurveDistances(Comparison):
-    """For each segment between two measured points its distance to the nearest simulated one."""
+    """For each segment between two measured points, its distance to the nearest simulated point."""
 
     def __init__(self, curve: Curve) -> None:
         self._curve = curve
@@ -92,7 +91,7 @@ class CurveDistances(Comparison):
 
 
 class CurveTolerances(Comparison):
-    """For each tolerance how far the farthest simulated point lies from the measured curve."""
+    """For each tolerance, the distance of the farthest simulated point from the measured curve."""
 
     def __init__(self, curve: Curve) -> None:
         self._curve = curve
@@ -105,15 +104,15 @@ class CurveTolerances(Comparison):
 
 
 def _points(curve: Curve, simulated: SimulatedOutputs) -> FloatArray:
-    """(points, m, d): the simulated curves at the times at which they are sampled."""
+    """Return the simulated curves at their sampling times, (points, m, d)."""
     rows = positions(curve.times, simulated.times)
     columns = [simulated.names.index(name) for name in curve.variables]
     return np.ascontiguousarray(simulated.outputs[:, rows][:, :, columns])
 
 
 COMPARISON_STEP = 1e-6
-"""Relative step of the outputs, for a comparison that is not linear in them: it is no simulation,
-so rounding is all its noise."""
+"""Relative step of the outputs for a comparison that is nonlinear in them. Its only noise is
+rounding, because no simulation is involved."""
 
 
 def comparison_jacobian(
@@ -124,7 +123,7 @@ def comparison_jacobian(
     Parameters
     ----------
     simulated
-        One simulation.
+        A single simulation.
     sensitivities : (parameters, n, names)
         Derivatives of its outputs.
     """
@@ -142,7 +141,7 @@ def comparison_jacobian(
 
 
 def _steps(simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray:
-    """Return a step for each parameter that changes neither it nor any output by much."""
+    """Return a step for each parameter that changes the parameter and the outputs only slightly."""
     largest = np.abs(sensitivities).max(axis=(1, 2), initial=0.0)
     size = np.abs(simulated.outputs).max(initial=0.0) or 1.0
     own = np.abs(simulated.values[0, : len(sensitivities)])
@@ -153,7 +152,7 @@ def _steps(simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray
 
 
 class BatchComparison(NamedTuple):
-    """(points, k) residuals, (points, m) constraints, and why a point has none."""
+    """(points, k) residuals, (points, m) constraints, and failure messages by point."""
 
     residuals: FloatArray
     constraints: FloatArray
@@ -166,14 +165,14 @@ class ExperimentComparison:
     Parameters
     ----------
     experiment, grid
-        What is compared, and the grid on which it is simulated.
+        The experiment, and the grid on which it is simulated.
     parameters
-        Names that the tasks' values stand for.
+        Names of the parameters whose values are in the tasks.
 
     Raises
     ------
     ModelError
-        If a function of the user's cannot be loaded.
+        If a user's function cannot be loaded.
     """
 
     def __init__(
@@ -181,7 +180,7 @@ class ExperimentComparison:
     ) -> None:
         self._residuals = _residuals(experiment, grid, parameters)
         self.is_plain = all(isinstance(each, MeasuredTimes) for each in self._residuals)
-        """True if every residual is (measured - simulated) / sigma of a value of the grid."""
+        """Whether every residual is (measured - simulated) / sigma of a value of the grid."""
         self._constraints = _constraints(experiment, parameters)
 
     def compare(self, simulated: SimulatedOutputs) -> BatchComparison:
@@ -191,9 +190,9 @@ class ExperimentComparison:
         return BatchComparison(residuals, _joined(self._constraints, simulated, failures), failures)
 
     def jacobian(self, simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray:
-        """Return the (residuals + constraints, parameters) derivatives of one simulation's.
+        """Return the (residuals + constraints, parameters) derivatives of one simulation.
 
-        `sensitivities` are those of its outputs, (parameters, n, names).
+        `sensitivities` are the derivatives of its outputs, (parameters, n, names).
         """
         kinds = (*self._residuals, *self._constraints)
         parts = [comparison_jacobian(each, simulated, sensitivities) for each in kinds]
@@ -246,19 +245,19 @@ def reduce_residuals(residuals: FloatArray, counts: Sequence[int], want: Want) -
     Parameters
     ----------
     residuals : (sum of counts,)
-        Of the outputs, one after the other.
+        Residuals of the outputs, concatenated.
     counts
-        How many each has, as `Experiment.counts` says.
+        Number of residuals of each output, as in `Experiment.counts`.
     want
         "squares" for the root of the sum of squares, "absolutes" for the sum of absolute values.
 
     Returns
     -------
     (k,)
-        One number for each output that has residuals, as `Experiment.counts_in` says.
+        One number for each output with residuals, as in `Experiment.counts_in`.
     """
     squares = want == "squares"
-    sizes = residuals * residuals if squares else np.abs(residuals)  # contiguous, for the same bits
+    sizes = residuals * residuals if squares else np.abs(residuals)  # contiguous, for equal bits
     filled = [count for count in counts if count]
     ends = np.cumsum(filled, dtype=np.intp).tolist()
     parts = zip(filled, ends, strict=True)

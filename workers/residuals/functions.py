@@ -1,4 +1,4 @@
-"""Python functions of the user's, in place of residuals and as constraints."""
+"""User-defined Python functions, which replace residuals or serve as constraints."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from workers.residuals.comparison import Comparison, ComparisonResult, Simulated
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """One simulation of one experiment, as a user's function receives it.
+    """One simulation of one experiment, as the argument of a user's function.
 
     Attributes
     ----------
     experiment
-        Its id.
+        Id of the experiment.
     times : (n,)
-        At which the simulation was recorded.
+        Recorded times of the simulation.
     simulated
-        (n,) by variable: every output and every signal that a constraint names.
+        (n,) by variable: every output, and every signal that a constraint names.
     measured
         (times, values) by variable.
     sigma
-        Standard deviation of the measured values, by variable; (n,) where it grows with them.
+        Standard deviation of the measured values, by variable; (n,) if it depends on them.
     values
-        Of the parameters, by the FMU's name.
+        Values of the parameters, by the FMU's names.
     """
 
     experiment: str
@@ -45,28 +45,28 @@ class SimulatedRun:
     values: dict[str, float]
 
     def residuals(self, variable: str) -> FloatArray:
-        """(measured - simulated) / sigma of one output at its measured times."""
+        """Return (measured - simulated) / sigma of an output at its measured times."""
         times, measured = self.measured[variable]
         found = self.simulated[variable][positions(times, self.times)]
         return (measured - found) / self.sigma[variable]
 
 
 class FunctionComparison(Comparison):
-    """Calls a function of the user's for each point.
+    """Calls a user's function for each point.
 
     Parameters
     ----------
     function
-        Of one `SimulatedRun`, returning a number or a vector of numbers.
+        Takes a `SimulatedRun`, and returns a number or a vector of numbers.
     experiment, parameters
-        What the run is of; names of the parameters.
+        The experiment, and the names of the parameters.
     single
-        Whether it must return one number.
+        Whether the function must return a single number.
 
     Raises
     ------
     ModelError
-        If there is no such function on this machine.
+        If the function does not exist on this machine.
     """
 
     def __init__(
@@ -87,11 +87,11 @@ class FunctionComparison(Comparison):
         failures: dict[int, str] = {}
         for p in range(len(simulated.outputs)):
             if not np.isfinite(simulated.outputs[p]).all():
-                failures[p] = ""  # the simulation has failed and says so itself
+                failures[p] = ""  # the failed simulation has its own message
                 continue
             try:
                 found[p] = self._checked(self._call(self._run(simulated, p)))
-            except (Exception, SystemExit) as error:  # it is the user's code
+            except (Exception, SystemExit) as error:  # a user's code may raise anything
                 failures[p] = f"{self._name} failed ({type(error).__name__}: {error})"
         values = np.full((len(simulated.outputs), max(self._size, 0)), np.nan)
         for p, row in found.items():
@@ -126,19 +126,19 @@ class FunctionComparison(Comparison):
 
 
 def _lent(values: FloatArray) -> FloatArray:
-    """Return a read-only view: the numbers have other users."""
+    """Return a read-only view, because the array is also used elsewhere."""
     view = values.view()
     view.flags.writeable = False
     return view
 
 
 def load(function: UserFunction) -> Callable[[SimulatedRun], Any]:
-    """Import a function, or make it from the text of its module.
+    """Import a function, or create it from the source text of its module.
 
     Raises
     ------
     ModelError
-        If that fails.
+        If this fails.
     """
     where = f"{function.module}:{function.name}"
     try:
@@ -147,7 +147,7 @@ def load(function: UserFunction) -> Callable[[SimulatedRun], Any]:
         else:
             module = _from_source(function) if function.source else _imported(function.module)
             found = getattr(module, function.name)
-    except (Exception, SystemExit) as error:  # whatever the user's module raises
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
         raise ModelError(
             f"{where}: must be a function that can be imported, but cannot be imported "
             f"({type(error).__name__}: {error}); correct it, install what it imports on each "
@@ -164,8 +164,8 @@ def _imported(name: str) -> types.ModuleType:
 
 
 def _from_source(function: UserFunction) -> types.ModuleType:
-    name = f"{__name__}.of_the_user.{function.module}"  # it must not hide an installed module
+    name = f"{__name__}.of_the_user.{function.module}"  # it must not replace an installed module
     module = types.ModuleType(name)
-    sys.modules[name] = module  # dataclasses look their module up there
+    sys.modules[name] = module  # dataclasses need their module there
     exec(compile(function.source, f"{function.module}.py", "exec"), module.__dict__)
     return module

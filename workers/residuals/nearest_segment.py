@@ -1,18 +1,18 @@
-"""Distances between a simulated curve and a measured one that has no times, only an order.
+"""Distances between a simulated curve and a measured curve that has an order but no times.
 
-The measured curve, the *reference*, is a chain of straight segments; the simulated one is a set of
-points. Both distances are needed: each segment to its nearest point says whether the simulation
-reaches all that was measured, each point to its nearest segment whether it goes anywhere else.
+The measured curve, the *reference*, is a chain of straight segments. The simulated curve is a set
+of points. Two distances are needed. The distance of each segment to its nearest point shows whether
+the simulation reaches all measurements. The distance of each point to its nearest segment shows
+whether the simulation leaves the measured curve.
 
 With A and B the ends of a segment and P a point, the distance vector of P from the segment is
 
     r(P, AB) = P - A - t (B - A),    t = (P - A).(B - A) / |B - A|^2,  not below 0 nor above 1
 
-A segment without length is a point: t = 0. The formula has 0/0 there, and measured curves do repeat
-values.
+A segment of length 0 is a point, with t = 0 instead of 0/0. Such segments are common, because
+measured curves often repeat values.
 
 Source: the example "Estimate Model Parameters Using Time-Independent Data" of the Simulink Design
-Optimization documentation defines both distances, the scaling and the tolerance constraint.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ import numpy as np
 from workers.messages import FloatArray
 
 MAX_PAIRS = 16_384
-"""Pairs of a point and a segment that are worked on at once: few enough for a core's own cache."""
+"""Number of pairs of a point and a segment processed at once, so that they fit into a core's
+cache."""
 
 
 class ReferenceSegments(NamedTuple):
-    """The pieces of a reference; one row a dimension, so that all segments are contiguous.
+    """The segments of a reference, with one row for each dimension, so that rows are contiguous.
 
     Attributes
     ----------
     starts, vectors : (d, n)
         A and B - A.
     weights : (d, n)
-        (B - A) / |B - A|^2, whose product with P - A is t; 0 for a segment without length.
+        (B - A) / |B - A|^2, whose product with P - A is t; 0 for a segment of length 0.
     """
 
     starts: FloatArray
@@ -44,18 +45,17 @@ class ReferenceSegments(NamedTuple):
     weights: FloatArray
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what overflows is not finite, and says so itself
+@np.errstate(over="ignore", invalid="ignore")  # overflow is reported as not finite
 def segment_distances(points: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return how far each segment of the reference is from the nearest simulated point.
+    """Return the distance of each segment of the reference to the nearest simulated point.
 
-    The residuals of a fit to a curve without times. Every column counts the same, because points
-    and reference are first divided by s_j = max_i |reference_ij| (1 where that is 0):
+    These are the residuals of a fit to a curve without times. All columns have equal weight,
+    because points and reference are first divided by s_j = max_i |reference_ij| (1 if this is 0):
 
         d_i = min_k | r(P_k / s, A_i B_i / s) |
 
-    They say nothing about points that are near no segment: see `tolerance_constraints`. A minimum
-    over points has kinks where the nearest one changes; they vanish as the simulated curve is
-    sampled more densely.
+    They do not penalise points far from all segments: see `tolerance_constraints`. The minimum over
+    points has kinks at changes of the nearest point, which become smaller with denser sampling.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def segment_distances(points: FloatArray, reference: FloatArray) -> FloatArray:
     Returns
     -------
     (n - 1,)
-        Distances, without a unit. All of them are NaN if any point is not finite.
+        Dimensionless distances. All of them are NaN if any point is not finite.
     """
     if not np.isfinite(points).all():
         return np.full(len(reference) - 1, np.nan)
@@ -80,12 +80,12 @@ def segment_distances(points: FloatArray, reference: FloatArray) -> FloatArray:
 
 @np.errstate(over="ignore", invalid="ignore")
 def farthest_components(points: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return how far from the reference the simulated points get, along each column.
+    """Return the largest distance of the simulated points from the reference, along each column.
 
         c_j = max_k | r_j(P_k, nearest segment of P_k) |
 
-    Nothing is scaled: where columns differ much in size, the largest decides which segment is the
-    nearest. Of segments equally near it is the first. Different points may give the maxima.
+    Nothing is scaled: if the columns differ much in size, the largest one determines the nearest
+    segment. Of equally near segments, the first counts. Different points may give the maxima.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def farthest_components(points: FloatArray, reference: FloatArray) -> FloatArray
 def tolerance_constraints(
     points: FloatArray, reference: FloatArray, tolerances: FloatArray
 ) -> FloatArray:
-    """Return by how much a simulated curve leaves the tube around the reference.
+    """Return the relative violation of the tolerances around the reference by a simulated curve.
 
         g_j = c_j / tolerance_j - 1,    c = farthest_components(points, reference)
 
-    To be kept at or below 0 in a fit of `segment_distances`, which alone leaves the simulation free
-    to go where nothing was measured.
+    A fit of `segment_distances` needs g_j <= 0, because those residuals do not penalise a
+    simulation that leaves the measured curve.
 
     Parameters
     ----------
@@ -127,12 +127,12 @@ def tolerance_constraints(
     reference : (n, d)
         The measured curve in its order, finite, at least two points.
     tolerances : (d,)
-        In the columns' units, not negative; 0 for a column that has none.
+        In the columns' units, not negative; 0 for a column without a tolerance.
 
     Returns
     -------
     (number of tolerances that are not 0,)
-        Without a unit, in the order of the columns. NaN if any point is not finite.
+        Dimensionless, in the order of the columns. NaN if any point is not finite.
     """
     used = tolerances != 0
     return np.asarray(farthest_components(points, reference)[used] / tolerances[used] - 1.0)
@@ -155,16 +155,16 @@ def _segments(reference: FloatArray) -> ReferenceSegments:
 def _distances(
     points: FloatArray, segments: ReferenceSegments
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Give the distances of some points at a time from every segment.
+    """Yield the distances of blocks of points from every segment.
 
-    Elementwise throughout: no result depends on how the points are cut.
+    All operations are elementwise, so the results do not depend on the blocks.
 
     Yields
     ------
     vectors : (d, some, n)
-        r(P, AB); overwritten by the next.
+        r(P, AB); overwritten by the next block.
     squares : (some, n)
-        |r(P, AB)|^2; overwritten by the next.
+        |r(P, AB)|^2; overwritten by the next block.
     """
     dimensions, count = segments.starts.shape
     rows = max(1, min(len(points), MAX_PAIRS // max(1, count)))
@@ -183,7 +183,7 @@ def _fill(
     sums: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Write distance vectors, and their squared lengths into `sums`; `work` is scratch."""
+    """Write distance vectors, and their squared lengths to `sums`; `work` is scratch."""
     starts, directions, weights = segments
     for vector, column, start in zip(vectors, points.T, starts, strict=True):
         np.subtract(column[:, None], start, out=vector)

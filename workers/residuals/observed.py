@@ -1,20 +1,20 @@
-"""Outputs that are known up to scale and offset, not below a detection limit, or by order alone.
+"""Outputs with free scale and offset, with a detection limit, or with ordinal values.
 
-Where an output is known up to scale and offset, the residuals are those after the best ones:
+With free scale and offset, the residuals are
 
     e = (measured - a simulated - b) / sigma,   (a, b) = argmin sum e^2,
 
-in closed form for each experiment, so that no search has to find them (variable projection: G. H.
-Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432, doi:10.1137/0710036). Those of a held-out
-part of a record are the best ones of its training part, as are the bounds of its categories
-(`ordinal`).
+in closed form for each experiment, so a search does not need to estimate a and b (variable
+projection: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432, doi:10.1137/0710036).
+For a held-out part of a record, a and b are those of its training part. The same holds for the
+bounds of categories (`ordinal`).
 
-A value at or below a detection limit says no more than that. Its residual is
+A value at or below a detection limit is censored. Its residual is
 
     e = -sqrt(-2 log Phi((limit - simulated) / sigma)),
 
-whose square is -2 log of the probability of measuring no more than the limit (J. Tobin,
-Econometrica 26 (1958) 24-36, doi:10.2307/1907382): 0 where the simulation lies far below it.
+whose square is -2 log of the probability of measuring at most the limit (J. Tobin, Econometrica 26
+(1958) 24-36, doi:10.2307/1907382). It is 0 if the simulation is far below the limit.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ObservedOutputs(Comparison):
 
 
 def learnt_from(output: Output) -> Output:
-    """Return the output from which scale, offset and bounds of categories are found."""
+    """Return the output from which scale, offset and category bounds are estimated."""
     learns = output.learns and output.reference is not None
     return output.reference if learns and output.reference is not None else output
 
@@ -62,16 +62,16 @@ def observed_residuals(
     Parameters
     ----------
     simulated : (n,)
-        At its measured times.
+        Simulated values at its measured times.
     training : (m,)
-        At those of `learnt_from`; None for the same.
+        Simulated values at the times of `learnt_from`; None for the same values.
     """
     if output.ordinal:
         if not len(simulated):
             return np.zeros(0)
         bounds = bounds_of_categories(output, simulated, training)
         return ordinal_residuals(bounds, output.values, simulated, output.sigma)
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is said to be not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow is reported as not finite
         scale, offset = scale_and_offset(output, simulated, training)
         residuals = (output.values - scale * simulated - offset) / output.sigmas
     if output.detection_limit is None:
@@ -82,7 +82,7 @@ def observed_residuals(
 def bounds_of_categories(
     output: Output, simulated: FloatArray, training: FloatArray | None = None
 ) -> CategoryBounds:
-    """Return the best bounds of an ordinal output's categories; see `observed_residuals`."""
+    """Return the best category bounds of an ordinal output; see `observed_residuals`."""
     values = simulated if training is None else training
     return category_bounds(learnt_from(output).values, np.ascontiguousarray(values))
 
@@ -90,11 +90,11 @@ def bounds_of_categories(
 def scale_and_offset(
     output: Output, simulated: FloatArray, training: FloatArray | None = None
 ) -> tuple[float, float]:
-    """Return the best scale and offset of what was simulated; 1 and 0 where they are not free.
+    """Return the best scale and offset of the simulated values; 1 and 0 if they are not free.
 
-    Where the simulation does not move, so that they could not be told apart, the scale is 0 and the
-    offset what was measured; without an offset, where it is 0 throughout, the scale is 0. The
-    parameters are those of `observed_residuals`.
+    If the simulated values are constant, scale and offset cannot be distinguished. Then the scale
+    is 0, and the offset is the mean of the measured values. Without a free offset, the scale is 0
+    if all simulated values are 0. The parameters are those of `observed_residuals`.
     """
     if not (output.free_scale or output.free_offset) or not len(simulated):
         return 1.0, 0.0
@@ -116,9 +116,9 @@ def best_scale_and_offset(
     free_scale: bool,
     free_offset: bool,
 ) -> tuple[float, float]:
-    """Return the scale and offset of simulated values (n,) that suit the measured ones best.
+    """Return the scale and offset of simulated values (n,) that fit the measured values best.
 
-    1 and 0 where they are not free, or there are no values; see `scale_and_offset`.
+    1 and 0 if they are not free, or if there are no values; see `scale_and_offset`.
     """
     if not len(measured):
         return 1.0, 0.0
@@ -141,8 +141,8 @@ def best_scale_and_offset(
 
 
 def _censored(output: Output, simulated: FloatArray) -> FloatArray:
-    """The residuals that the samples have if all of them are at or below the detection limit."""
-    from scipy.special import log_ndtr  # slow to load, and few need it
+    """Return the residuals of all samples as if they were at or below the detection limit."""
+    from scipy.special import log_ndtr  # slow to load, and rarely needed
 
     assert output.detection_limit is not None
     logs = log_ndtr((output.detection_limit - simulated) / output.sigmas)

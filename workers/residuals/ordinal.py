@@ -1,25 +1,28 @@
-"""Outputs of which only the order of the measured values is known: optimal scaling.
+"""Ordinal outputs, of which only the order of the measured values is known: optimal scaling.
 
-Equal measured values are a category, and the categories stand in order. Category c holds the
-simulated values between two bounds that are found with the residuals: with y_j for the simulated
-values, s for their standard deviation and t_1, t_2, ... for the thresholds between neighbours,
+Equal measured values form a category, and the categories are ordered. Category c contains the
+simulated values between two bounds, which are estimated together with the residuals. With simulated
+values y_j, their standard deviation s, and thresholds t_1, t_2, ... between neighbouring
+categories,
 
     e_j = distance of y_j to [t_(c-1) + gap / 2, t_c - gap / 2], over sigma s,
+
     (t_1, t_2, ...) = argmin sum e_j^2   with   t_c + gap <= t_(c+1),   gap = s / (2 K),
 
-K categories, open at both ends: R. N. Shepard, Psychometrika 27 (1962) 125-140,
+for K categories, the outer ones unbounded: R. N. Shepard, Psychometrika 27 (1962) 125-140,
 doi:10.1007/BF02289630; for dynamic models L. Schmiester, D. Weindl, J. Hasenauer, J. Math. Biol. 81
-(2020) 603-623, doi:10.1007/s00285-020-01522-w. Within a category no order is asked for, which is
-the primary approach to ties of J. B. Kruskal, Psychometrika 29 (1964) 1-27, doi:10.1007/BF02289565.
+(2020) 603-623, doi:10.1007/s00285-020-01522-w. Within a category, any order is allowed. This is the
+primary approach to ties of J. B. Kruskal, Psychometrika 29 (1964) 1-27, doi:10.1007/BF02289565.
 
-Distances and gap are over the spread s, so that nothing is won by a simulation that is only
-smaller: an order says nothing of scale and offset, and neither does e. Without the gap a simulation
-that hardly moves but for one sample would fit any order.
+Distances and gap are divided by s, so a simulation cannot reduce them merely by a smaller scale. An
+order does not depend on scale and offset, and neither does e. Without the gap, a simulation that is
+constant except for one sample would fit any order.
 
-The thresholds minimise a sum of convex functions, one of each, along a chain, which pooling
-adjacent violators solves exactly: M. J. Best, N. Chakravarti, V. A. Ubhaya, SIAM J. Optim. 10
-(2000) 658-672, doi:10.1137/S1052623497314970. Each function is a sum of squared hinges, so the
-residuals are unique and continuous in y, their squares continuously differentiable.
+The thresholds minimise a sum of convex functions, one of each threshold, subject to a chain of
+inequalities. Pooling adjacent violators solves this exactly: M. J. Best, N. Chakravarti, V. A.
+Ubhaya, SIAM J. Optim. 10 (2000) 658-672, doi:10.1137/S1052623497314970. Each function is a sum of
+squared hinges. So the residuals are unique and continuous in y, and their squares are continuously
+differentiable.
 """
 
 from __future__ import annotations
@@ -31,28 +34,28 @@ import numpy as np
 from workers.messages import FloatArray, IntArray
 
 SUM_OF_GAPS = 0.5
-"""Sum of all gaps, in spreads of the simulated signal. Wide gaps bias what is found where samples
-lie densely around a threshold, which in truth has no gap; with narrow ones a simulation whose
-samples nearly all coincide costs little."""
+"""Sum of all gaps, in units of the spread of the simulated signal. Wide gaps bias the estimates if
+samples are dense around a threshold, which has no true gap. With narrow gaps, a simulation whose
+samples nearly all coincide has a low cost."""
 NO_MOTION = 1e-12
-"""Spread over the largest value, up to which a simulation does not move."""
+"""Largest ratio of the spread to the largest value at which a simulation counts as constant."""
 DISTANCE_WITHOUT_ORDER = 1.0 + 0.5 * SUM_OF_GAPS
-"""The distance of every sample of a simulation that does not move, in spreads. It has no order,
-which must not cost less than a wrong one: with all thresholds around its mean, any simulation has a
-root mean square distance of at most this."""
+"""Distance of every sample of a constant simulation, in spreads. A constant simulation has no
+order, and must not cost less than a wrong order. With all thresholds around its mean, any
+simulation has a root mean square distance of at most this value."""
 
 
 class CategoryBounds(NamedTuple):
-    """Which simulated values each category holds.
+    """Bounds of the simulated values of each category.
 
     Attributes
     ----------
     categories : (K,)
-        Measured values, each once, in order.
+        Distinct measured values, in order.
     lower, upper : (K,)
-        Simulated values; infinite at the ends.
+        Bounds of simulated values; infinite at the ends.
     spread
-        Standard deviation of the simulated values; 0 if they do not move, NaN if they are not
+        Standard deviation of the simulated values; 0 if they are constant, NaN if they are not
         finite.
     """
 
@@ -63,14 +66,14 @@ class CategoryBounds(NamedTuple):
 
 
 def category_bounds(measured: FloatArray, simulated: FloatArray) -> CategoryBounds:
-    """Return the bounds that suit simulated values best.
+    """Return the category bounds that fit simulated values best.
 
-    Where several do as well, they are in the middle of those.
+    If the minimum is not unique, they are in the middle of the set of minimisers.
 
     Parameters
     ----------
     measured, simulated : (n,)
-        At the same times; at least one.
+        Values at the same times; at least one.
     """
     categories, numbers = np.unique(measured, return_inverse=True)
     none = np.full(len(categories), np.nan)
@@ -94,10 +97,10 @@ def category_bounds(measured: FloatArray, simulated: FloatArray) -> CategoryBoun
 
 
 def disparities(bounds: CategoryBounds, measured: FloatArray, simulated: FloatArray) -> FloatArray:
-    """Return for each sample the value of its category that is nearest to the simulated one, (n,).
+    """Return the value in each sample's category that is nearest to the simulated value, (n,).
 
-    A measured value outside of the categories may lie anywhere between its neighbours' far
-    ends. NaN where there are no bounds.
+    For a measured value that is not a category, the interval includes both neighbouring categories.
+    The result is NaN if there are no bounds.
     """
     last = len(bounds.categories) - 1
     below = np.searchsorted(bounds.categories, measured, side="right") - 1
@@ -122,8 +125,8 @@ def ordinal_residuals(
 def _thresholds(places: FloatArray, numbers: IntArray, count: int, gap: float) -> FloatArray:
     """Return the best thresholds (count - 1,), at least `gap` apart, of numbered categories.
 
-    In tau_c = t_c - c gap the chain is tau_1 <= tau_2 <= ..., and the samples of category c should
-    lie below tau_c + c gap - gap / 2, those of c + 1 above tau_c + c gap + gap / 2.
+    With tau_c = t_c - c gap, the chain is tau_1 <= tau_2 <= .... Samples of category c should be
+    below tau_c + c gap - gap / 2, and samples of category c + 1 above tau_c + c gap + gap / 2.
     """
     last = count - 1
     below, above = numbers < last, numbers > 0
@@ -135,7 +138,7 @@ def _thresholds(places: FloatArray, numbers: IntArray, count: int, gap: float) -
 
 
 class _SidedSamples(NamedTuple):
-    """Samples that should lie at one side of a threshold: where, and of which threshold."""
+    """Samples that should be on one side of a threshold: their positions and thresholds."""
 
     places: FloatArray
     thresholds: IntArray
@@ -145,14 +148,14 @@ class _SidedSamples(NamedTuple):
 
 
 def _pooled(low: _SidedSamples, high: _SidedSamples, count: int) -> FloatArray:
-    """Pool adjacent violators: the largest nondecreasing minimiser (count,).
+    """Return the largest nondecreasing minimiser (count,), by pooling adjacent violators.
 
-    All neighbours that violate the order are pooled at once, which may be done in any order.
+    All adjacent violators are pooled at once; the order of pooling does not matter.
 
     Parameters
     ----------
     low, high
-        Samples that should lie below, and above, each threshold; each has both.
+        Samples that should be below, and above, each threshold; each threshold has both.
     """
     blocks = np.arange(count)
     while True:
@@ -164,11 +167,11 @@ def _pooled(low: _SidedSamples, high: _SidedSamples, count: int) -> FloatArray:
 
 
 def _minimisers(low: _SidedSamples, high: _SidedSamples, blocks: IntArray) -> FloatArray:
-    """For each block return the largest tau that minimises the squares of what lies beyond it.
+    """Return for each block the largest tau that minimises the squares of the violations.
 
-    Half the derivative of sum (low - tau)_+^2 + sum (tau - high)_+^2 is piecewise linear and rises
-    from sample to sample; its slope is the number of samples beyond tau. `blocks` (thresholds,)
-    says which block each threshold is in.
+    Half the derivative of sum (low - tau)_+^2 + sum (tau - high)_+^2 is piecewise linear and
+    increases from sample to sample; its slope is the number of samples beyond tau. `blocks`
+    (thresholds,) contains the block of each threshold.
     """
     block = np.concatenate([blocks[low.thresholds], blocks[high.thresholds]])
     knots = np.concatenate([low.places, high.places])
@@ -183,17 +186,17 @@ def _minimisers(low: _SidedSamples, high: _SidedSamples, blocks: IntArray) -> Fl
     totals += np.add.reduceat(lows, firsts)[block] - _counted_from(firsts, block, lows)
     slopes = passed + waiting
     falls = slopes * knots <= totals
-    falls[firsts] = True  # below all of its samples, but for rounding
+    falls[firsts] = True  # below all samples, except for rounding
     k = np.maximum.reduceat(np.where(falls, np.arange(len(knots)), 0), firsts)
     with np.errstate(divide="ignore", invalid="ignore"):
         found = totals[k] / slopes[k]
     lowest = np.minimum.reduceat(np.where(is_high, knots, np.inf), firsts)
     highest = np.maximum.reduceat(np.where(is_high, -np.inf, knots), firsts)
-    # nothing lies beyond any tau between the two
+    # no sample is beyond any tau between the two
     return np.asarray(np.where(highest <= lowest, lowest, found))
 
 
 def _counted_from(firsts: IntArray, block: IntArray, values: FloatArray) -> FloatArray:
-    """Cumulative sums that begin anew with each block."""
+    """Return cumulative sums that restart with each block."""
     sums = np.cumsum(values)
     return np.asarray(sums - (sums[firsts] - values[firsts])[block])

@@ -1,1 +1,1 @@
-"""An experiment, an FMU and effects, bound together and simulated."""
+"""Simulation of an experiment with an FMU and effects."""

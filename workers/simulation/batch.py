@@ -1,4 +1,4 @@
-"""A batch of simulations on its way through the core, and the loops that may simulate it."""
+"""A batch of simulations in the core, and the loops that simulate it."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ class SimulationBatch:
     ----------
     outputs : (points, times, outputs)
     messages : (points,)
-        Empty where a simulation reached its end, else a sentence.
+        Empty if the simulation reached its end, otherwise a sentence.
     codes : (points,)
         See `workers.core.failure`.
     steps : (points,)
-        Steps of the solver; 0 where that is not known.
+        Steps of the solver; 0 if unknown.
     linearisations
-        By point, where that was asked for and the simulation reached its end.
+        By point, if requested and the simulation reached its end.
     sensitivities
-        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
-        NaN for parameters by which there are none.
+        (parameters, times, outputs) by point, if requested and available; NaN for parameters
+        without derivatives.
     innovations
-        (residuals,) by point, where there is process noise: they take the place of the residuals,
-        and `outputs` are predictions from one measured time to the next.
+        (residuals,) by point, with process noise. They replace the residuals, and `outputs` are
+        predictions from one measured time to the next.
     """
 
     outputs: FloatArray
@@ -48,30 +48,30 @@ class SimulationBatch:
 
     @classmethod
     def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
-        """Make one of which nothing is simulated yet."""
+        """Return a batch without any results."""
         codes, steps = np.zeros((2, points), np.int64)
         return cls(np.full((points, times, outputs), np.nan), [""] * points, codes, steps)
 
 
 Loop = Callable[[Batch], int]
-"""Simulates many points and returns how many of them: up to the first that failed."""
+"""Simulates points up to the first failure, and returns their number."""
 
 
 def simulate(batch: Batch) -> int:
-    """Simulate by the method of the batch."""
+    """Simulate with the method of the batch."""
     return int(core().core_simulate(addressof(batch)))
 
 
 class CvodeLoop:
-    """Simulates by CVODE, with an integrator for each number of states, made once and reused.
+    """Simulates with CVODE, with one integrator for each number of states, which is reused.
 
-    It must not be called by two threads at a time. `jacobian` may be set before each call: it is
-    used where no effects act.
+    It must not be called by two threads at a time. `jacobian` may be set before each call; it is
+    used if no effects act.
 
     Raises
     ------
     ModelError
-        If there is no CVODE for this platform.
+        If CVODE is not available for this platform.
     """
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class CvodeLoop:
 
 
 class BatchRun:
-    """A batch of points on their way through a loop.
+    """A batch of points for a loop.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ class BatchRun:
     values : (points, k)
         Values of the parameters.
     bounds : (points,)
-        Sums of squares above which simulations end early; none if None.
+        Sums of squares above which simulations end early; None for no bounds.
 
     Attributes
     ----------
     result
-        What is filled.
+        Results, which the loop writes.
     """
 
     def __init__(
@@ -131,13 +131,13 @@ class BatchRun:
 
     @property
     def stopped_at(self) -> FloatArray:
-        """(points,) times of failures."""
+        """Times of failures, (points,)."""
         return self._numbers[3].view(np.float64)  # type: ignore[no-any-return]
 
     def batch(self, first: int, count: int, fmu: Fmu, settings: Settings, method: int) -> Batch:
-        """Return what is asked of the core for some of the points; progress is still missing.
+        """Return the core's structure for some of the points, without progress.
 
-        It may be used as long as this, the FMU and the settings are kept.
+        It is valid as long as this object, the FMU and the settings exist.
         """
         self._chosen_effects = effects = self.effects.from_point(first)
         _, times, width = self.result.outputs.shape

@@ -1,4 +1,4 @@
-"""Effects bound to an experiment: their byte code, and the signals that they depend on."""
+"""Effects bound to an experiment: their byte code, and the signals on which they depend."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Mo
 
 @dataclass(frozen=True)
 class BoundEffects:
-    """The effects of a task that do something, for one experiment.
+    """The active effects of a task, for one experiment.
 
     Attributes
     ----------
     definitions, positions
-        The effects, and where the coefficients of each begin among those of the task.
+        The effects, and the position of each effect's first coefficient in the task.
     experiment
-        The experiment with a constant for each input that an effect needs and the data do not
-        drive, and of its measured signals only those that are needed.
+        The experiment. A constant is added for each input that an effect needs and the data do not
+        contain. Measured signals that no effect needs are removed.
     recorded
-        The experiment's outputs, and what else effects at outputs depend on.
+        The experiment's outputs, and other variables on which effects at outputs depend.
     inner
         The effects at derivatives, inputs and parameters; None without such effects.
     seen
-        In co-simulation, signals whose values are those that the FMU computes.
+        In co-simulation, signals whose values the FMU computes.
     """
 
     definitions: tuple[EffectDefinition, ...]
@@ -76,7 +76,7 @@ class BoundEffects:
         )  # fmt: skip
 
     def with_memory_effects(self, coefficients: FloatArray) -> Experiment:
-        """Return the experiment with the inputs that effects change as a whole, for one point."""
+        """Return the experiment with the inputs changed by effects with memory, for one point."""
         inputs = list(self.experiment.inputs)
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if _has_memory(definition):
@@ -89,7 +89,7 @@ class BoundEffects:
 
     @property
     def has_memory(self) -> bool:
-        """True if an input is changed as a whole, so that each point has a grid of its own."""
+        """Whether an effect changes a complete input signal, so each point has its own grid."""
         return any(_has_memory(d) for d in self.definitions)
 
     def apply_to_outputs(
@@ -102,7 +102,7 @@ class BoundEffects:
                 apply_output_effect(definition, own, grid, outputs, self.recorded, self.columns)
 
     def _fastest_rates(self, coefficients: FloatArray) -> FloatArray:
-        """Return that of the own states of each point, as far as the coefficients tell."""
+        """Return the fastest rate of own states at each point that coefficients determine."""
         rates = np.zeros(len(coefficients))
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.states and definition.site.kind != "output":
@@ -129,16 +129,16 @@ def bind_effects(
     *,
     model_exchange: bool,
 ) -> BoundEffects:
-    """Bind effects that do something to an experiment.
+    """Bind active effects to an experiment.
 
     Parameters
     ----------
     definitions
         Each effect with the position of its first coefficient.
     experiment, description
-        What they act on.
+        The experiment, and the model description of the FMU.
     n_coefficients
-        Of all effects of a task.
+        Number of coefficients of all effects of a task.
     model_exchange
         Whether the FMU's own states are in the array of states (model exchange).
     """
@@ -170,7 +170,7 @@ def bind_effects(
 
 
 def _has_memory(definition: EffectDefinition) -> bool:
-    """Return whether it changes an input as a whole."""
+    """Return whether an effect changes a complete input signal."""
     return definition.site.kind == "input" and bool(definition.form.memory)
 
 
@@ -179,7 +179,7 @@ def _columns(experiment: Experiment) -> tuple[str, ...]:
 
 
 def _dependencies(definition: EffectDefinition) -> tuple[str, ...]:
-    """Return the variables that an effect depends on, with the signal that it replaces."""
+    """Return the variables on which an effect depends, including the signal that it replaces."""
     if definition.site.kind in ("input", "output"):
         return (*definition.uses, definition.site.target)
     return definition.uses
@@ -188,7 +188,7 @@ def _dependencies(definition: EffectDefinition) -> tuple[str, ...]:
 def _seen(
     definitions: Sequence[EffectDefinition], experiment: Experiment, description: ModelDescription
 ) -> tuple[str, ...]:
-    """Return what the FMU computes and effects at inputs and parameters depend on."""
+    """Return the FMU's variables on which effects at inputs and parameters depend."""
     measured = {given.variable for given in experiment.signals}
     used = dict.fromkeys(n for d in definitions if d.site.kind != "output" for n in d.uses)
     read = [n for n in used if n in description.variables and description.variables[n].is_read]
@@ -201,7 +201,7 @@ def _with_dependencies(
     description: ModelDescription,
     seen: tuple[str, ...],
 ) -> Experiment:
-    """Return the experiment with the signals that effects depend on, and no others."""
+    """Return the experiment with exactly the signals on which effects depend."""
     ends = np.array([experiment.start, experiment.stop])
     read = tuple(Input(name, ends, np.zeros(2), "hold") for name in seen)
     needed = dict.fromkeys(name for d in definitions for name in _dependencies(d))
@@ -225,7 +225,7 @@ def _with_dependencies(
 
 
 def _constant_input(name: str, experiment: Experiment, description: ModelDescription) -> Input:
-    """Return a constant signal for an input that the data do not drive."""
+    """Return a constant signal for an input that the data do not contain."""
     value = dict(experiment.values).get(name, description.variables[name].start)
     if value is None:
         raise EffectError(
@@ -237,7 +237,7 @@ def _constant_input(name: str, experiment: Experiment, description: ModelDescrip
 
 
 class EffectBatch:
-    """The effects of a batch of tasks, resolved against one FMU and the measured signals."""
+    """The effects of a batch of tasks, with their definitions for one FMU and its signals."""
 
     def __init__(
         self,
@@ -253,10 +253,10 @@ class EffectBatch:
     def groups(
         self, coefficients: FloatArray
     ) -> Iterator[tuple[IntArray, list[tuple[EffectDefinition, int]]]]:
-        """Group points on which the same effects act, in order of first appearance.
+        """Group the points with the same active effects, in order of first appearance.
 
-        An effect whose coefficients are neutral is left out of the simulation altogether, which is
-        why it changes no bit of it.
+        An effect with neutral coefficients is not simulated at all, so it changes no bit of the
+        result.
         """
         pairs = list(zip(self._definitions, self._positions, strict=True))
         members: dict[tuple[bool, ...], list[int]] = {}

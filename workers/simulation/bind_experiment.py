@@ -1,4 +1,4 @@
-"""An experiment bound to one model: its grid, and the FMU's references for its variables."""
+"""An experiment bound to a model: its grid, and the FMU's references of its variables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from workers.messages import Experiment, FloatArray, Model
 from workers.simulation.fixed_step import CommunicationPoints, communication_points, step_lengths
 
 _TYPES_READ_AS = {"Enumeration": "Int64"}
-"""Types whose values are got and set as those of another one."""
+"""Types that are read and written with the functions of another type."""
 
 
 def variable_access(
@@ -30,9 +30,9 @@ def variable_access(
     Parameters
     ----------
     variables
-        Variables of the columns; None for a column that the FMU does not see.
+        Variables of the columns; None for a column that is not passed to the FMU.
     array_starts
-        The values of all elements of an array, for those that have no column.
+        Returns start values of all elements of an array, for elements without a column.
     """
     n_reals = 0
     for variable in variables:
@@ -62,7 +62,7 @@ def variable_access(
 
 @dataclass(frozen=True)
 class _ArrayAccess:
-    """A variable that has a call of its own, and the column of each of its elements, or -1."""
+    """A variable that is accessed by a separate call, and the column of each element, or -1."""
 
     code: int
     variable: ModelVariable
@@ -70,7 +70,7 @@ class _ArrayAccess:
 
 
 def _assign_column(variable: ModelVariable, column: int, others: list[_ArrayAccess]) -> None:
-    """Assign a column to an element of a variable; a second name of a value has its own call."""
+    """Assign a column to an element of a variable; an alias has its own call."""
     code = TYPES.index(_TYPES_READ_AS.get(variable.type, variable.type))
     for each in others:
         same = each.code == code and each.variable.reference == variable.reference
@@ -84,16 +84,16 @@ def _assign_column(variable: ModelVariable, column: int, others: list[_ArrayAcce
 
 @dataclass(frozen=True)
 class BoundExperiment:
-    """An experiment bound to one model.
+    """An experiment bound to a model.
 
     Attributes
     ----------
     communication
         The FMU's communication points, if it cannot communicate at all times of the grid.
     known_values
-        Known start values, after those of the parameters.
+        Known start values, which follow the values of the parameters.
     structure
-        The experiment as the core sees it.
+        The experiment as a structure of the core.
     """
 
     grid: SignalGrid
@@ -103,7 +103,7 @@ class BoundExperiment:
     structure: library.Experiment
 
     def start_alone(self) -> BoundExperiment:
-        """Return the same up to its start, which is simulated only as long as this is kept."""
+        """Return the experiment up to its start; `self` must exist while it is simulated."""
         structure = library.Experiment.from_buffer_copy(self.structure)
         structure.n_times = 1
         start = self.grid._replace(times=self.grid.times[:1])
@@ -119,11 +119,10 @@ def bind_experiment(
     passing: bool = True,
     seen: tuple[str, ...] = (),
 ) -> BoundExperiment:
-    """Bind an experiment to a model: its grid, and the FMU's references for its variables.
+    """Bind an experiment to a model: its grid, and the FMU's references of its variables.
 
-    `recorded` are the variables to record; the experiment's own if None. Steps stop at all that was
-    measured unless `passing`. `seen` are signals whose values the FMU computes: those are read in
-    the place of the signals' own.
+    `recorded` are the variables to record; None for those of the experiment. Steps stop at all
+    measured times unless `passing`. `seen` are signals whose values are read from the FMU.
 
     Raises
     ------
@@ -135,7 +134,7 @@ def bind_experiment(
     outputs = recorded or experiment.recorded
     experiment = replace(
         experiment,
-        inputs=tuple(  # a variable that changes at events alone is held between its samples
+        inputs=tuple(  # a variable that changes only at events is held between its samples
             replace(each, interpolation="hold") if description.holds(each.variable) else each
             for each in experiment.inputs
         ),
@@ -170,7 +169,7 @@ def bind_experiment(
 
 
 def _set_grid(structure: library.Experiment, grid: SignalGrid) -> None:
-    """Set the times that the FMU is stepped to, the inputs there, and what was measured."""
+    """Set the times of the steps, the inputs at these times, and the measurements."""
     structure.stop = float(grid.times[-1])
     structure.n_times, structure.n_inputs = grid.inputs.shape
     structure.hold(
@@ -184,7 +183,7 @@ def _set_grid(structure: library.Experiment, grid: SignalGrid) -> None:
 def _start_values(
     model: Model, description: ModelDescription, experiment: Experiment
 ) -> tuple[library.Experiment, FloatArray]:
-    """Return a structure with what is set before a simulation, and known values."""
+    """Return a structure with the values that are set before a simulation, and known values."""
     where = f"experiment {experiment.id!r}"
     given = {n: v for n, v in experiment.values if n not in model.parameters}
     variables = {n: description.variable(n, where) for n in given}
@@ -204,7 +203,7 @@ def _start_values(
 
 
 def _array_starts(description: ModelDescription, variable: ModelVariable) -> list[float]:
-    """Return the start values of all elements of the array that a variable is of."""
+    """Return the start values of all elements of the array that contains a variable."""
     if variable.size == 1:
         return [variable.start or 0.0]
     own = (variable.reference, variable.type)

@@ -1,4 +1,4 @@
-"""Effects bound to the experiments of a simulator, each combination once."""
+"""Effects bound to the experiments of a simulator, with a cache."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 class EffectBindings:
-    """Resolves effects, binds them to experiments and prepares linearisations, each once.
+    """Defines effects, binds them to experiments and prepares linearisations, with caches.
 
     Parameters
     ----------
     model, description, experiments
-        What the simulator simulates.
+        Those of the simulator.
     signals
-        Measured signals that effects may depend on.
+        Measured signals on which effects may depend.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class EffectBindings:
     def groups(
         self, effects: tuple[Effect, ...], coefficients: FloatArray
     ) -> Iterator[tuple[IntArray, list[tuple[EffectDefinition, int]]]]:
-        """Group points on which the same effects act; see `EffectBatch.groups`."""
+        """Group the points with the same active effects; see `EffectBatch.groups`."""
         from workers.simulation.bind_effects import EffectBatch
 
         if effects not in self._effects:
@@ -61,7 +61,7 @@ class EffectBindings:
     def bind(
         self, experiment: int, active: list[tuple[EffectDefinition, int]], n_coefficients: int
     ) -> tuple[BoundEffects, BoundExperiment]:
-        """Bind an experiment and the effects that act on it, of a task with some coefficients."""
+        """Bind an experiment and the effects that are active in a task."""
         key = (experiment, tuple(active), n_coefficients)
         if key not in self._bound:
             from workers.simulation.bind_effects import bind_effects
@@ -86,7 +86,7 @@ class EffectBindings:
     def prepare(
         self, experiment: int, point: FloatArray, effects: tuple[Effect, ...]
     ) -> PreparedExperiment:
-        """Prepare an experiment to be linearised with the effects that act at a point."""
+        """Prepare the linearisation of an experiment with the effects active at a point."""
         from workers.simulation.linearise import prepare
 
         coefficients = point[None, len(self._model.parameters) :]

@@ -1,4 +1,4 @@
-"""Communication points of co-simulation FMUs that cannot vary their communication step."""
+"""Communication points of co-simulation FMUs with a fixed communication step."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from workers.grid import SignalGrid, build_grid, on_times
 from workers.messages import Experiment, FloatArray, IntArray, Model
 
 ON_GRID = 1e-6
-"""Part of a step: a time that is nearer to a communication point than this stands on it."""
+"""Distance from a communication point, in steps, below which a time counts as equal to it."""
 ROUNDING_OF_STEPS = 2.0 * float(np.finfo(np.float64).eps)
-"""Part of the largest time that rounding may change in the difference of two."""
+"""Relative effect of rounding on the difference of two times, divided by the largest time."""
 
 
 @dataclass(frozen=True)
 class CommunicationPoints:
-    """The communication points around the times of an experiment, for a step of fixed length.
+    """The communication points around the times of an experiment, for a fixed step.
 
     Attributes
     ----------
     grid
-        The inputs at those points. An interval of it is one step, or several within which no
-        input has a kink.
+        The inputs at these points. Each interval is one step, or several steps without a kink of an
+        input.
     step
-        Seconds from one point to the next.
+        Seconds between two points.
     max_step
-        Step with room for rounding, so that every interval is cut into steps of this length.
+        Step with a margin for rounding, so that every interval is divided into steps of this
+        length.
     before, after : (n,)
         The points before and after each time of the experiment.
     fractions : (n,)
-        Its distance from the first of them, as a part of the step; 0 if it is on it.
+        Distance of each time from the point before it, in steps; 0 if they are equal.
     linear : (recorded,)
-        True for variables that are interpolated. Others change at events alone: they are held.
+        Whether a variable is interpolated. Others change only at events and are held.
     """
 
     grid: SignalGrid
@@ -52,7 +53,7 @@ class CommunicationPoints:
         values = outputs[:, self.before]
         between = np.flatnonzero(self.fractions > 0.0)
         first, second = outputs[:, self.before[between]], outputs[:, self.after[between]]
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is said of outputs
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite values are allowed
             interpolated = first + self.fractions[between, None] * (second - first)
         values[:, between] = np.where(self.linear, interpolated, first)
         return values
@@ -65,17 +66,18 @@ def communication_points(
     recorded: tuple[str, ...],
     times: FloatArray,
 ) -> CommunicationPoints | None:
-    """Return the communication points of an experiment; None if they are all of its times.
+    """Return the communication points of an experiment; None for a variable step.
 
-    Steps begin at the start of the experiment. Their length is `Solver.step`, else the one that the
-    FMU names, else the shortest interval of the experiment if all others are multiples of it.
+    Steps begin at the start of the experiment. Their length is `Solver.step`, otherwise that
+    declared by the FMU, otherwise the shortest interval of the experiment if all others are
+    multiples of it.
 
     Parameters
     ----------
     recorded
         The variables to record.
     times : (n,)
-        Of the experiment's grid: all inputs and all measurements.
+        Times of the experiment's grid: all inputs and all measurements.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def communication_points(
     last = np.where(on_point, nearest, first + 1.0)
     counts = np.unique(np.concatenate([first, last]))
     grid_times = experiment.start + counts * step
-    # an input that jumps at such a time has jumped, however it is rounded
+    # an input that jumps at such a time has already jumped, despite rounding
     sample_times = grid_times.copy()
     sample_times[np.searchsorted(counts, nearest[on_point])] = times[on_point]
     max_interval = float(np.diff(counts).max(initial=1.0))
@@ -109,12 +111,12 @@ def communication_points(
 
 
 def step_lengths(times: FloatArray, own_step: float | None) -> FloatArray:
-    """Return the intervals between times without the rounding of their differences.
+    """Return the intervals between times without the rounding errors of their differences.
 
-    0.15 - 0.1 is 0.04999999999999999, and some FMUs refuse such a step. Of the numbers that a
-    difference of rounded times may stand for, this takes a multiple of the FMU's own step if one is
-    among them, else the one with the fewest digits, unless a step of that length would end before
-    the next time: an event at that time would come too late.
+    0.15 - 0.1 is 0.04999999999999999, and some FMUs refuse such a step. Several numbers agree with
+    a difference within rounding. If a multiple of the FMU's own step is among them, it is returned.
+    Otherwise, the number with the fewest digits is returned, unless a step of that length would end
+    before the next time. Then an event at that time would be late.
     """
     differences = np.diff(times)
     lengths, positions = np.unique(differences, return_inverse=True)
@@ -126,13 +128,13 @@ def step_lengths(times: FloatArray, own_step: float | None) -> FloatArray:
 
 
 def _multiple(length: float, room: float, own_step: float | None) -> float:
-    """Return the multiple of a step that a length may stand for, or 0."""
+    """Return the multiple of a step that equals a length within rounding, or 0."""
     found = own_step * round(length / own_step) if own_step else 0.0
     return found if abs(found - length) <= room else 0.0
 
 
 def _shortest(length: float, room: float) -> float:
-    """Return the number with the fewest digits that a length may stand for."""
+    """Return the number with the fewest digits that equals a length within rounding."""
     candidates = (float(f"{length:.{digits}g}") for digits in range(1, 16))
     return next((each for each in candidates if each > 0.0 and abs(each - length) <= room), length)
 
@@ -140,7 +142,7 @@ def _shortest(length: float, room: float) -> float:
 def communication_notes(
     model: Model, description: ModelDescription, experiments: Sequence[Experiment]
 ) -> tuple[str, ...]:
-    """Say of which experiments values are interpolated, for a user.
+    """Return messages for the user about experiments whose values are interpolated.
 
     Raises
     ------

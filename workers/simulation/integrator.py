@@ -1,4 +1,4 @@
-"""Integration of one FMU by the core: rows of values in, a batch of outputs out."""
+"""Integration of an FMU by the core: rows of parameter values to a batch of outputs."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from workers.simulation.jacobian import (
 
 UNTOLD, EXPERIMENT_STOP = -1.0, 0.0
 STOP_UNITS = (EXPERIMENT_STOP, 1.0, 86400.0)
-"""What FMUs ask of a stop time: that of the experiment, whole seconds, whole days (EnergyPlus)."""
+"""Units of stop times that FMUs require: that of the experiment, whole seconds, whole days
+(EnergyPlus)."""
 _stop_units: dict[str, float] = {}
-"""What stop times FMUs have asked for in this process, by the FMU's hash, where there must be
-one."""
+"""Required units of stop times in this process, by the FMU's hash."""
 
 DEFAULT_RTOL = 1e-8
-"""Tolerance of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs
+"""Default tolerance of Dormand-Prince. Sampled inputs already limit the steps, so accuracy costs
 little."""
 
 
 class FmuIntegrator:
-    """One instance of an FMU, and the loop of the solver that simulates experiments with it.
+    """One instance of an FMU, and the solver's loop that simulates experiments with it.
 
-    It must be loaded before it can simulate anything.
+    It must be loaded before a simulation.
 
     Parameters
     ----------
     model, description
         The FMU; the description must be of the same archive.
     progress
-        Progress that the loop notes; see `workers.messages.types`.
+        Progress that the loop records; see `workers.messages.types`.
     """
 
     instance: FmuInstance
@@ -65,12 +65,12 @@ class FmuIntegrator:
         self._largest_array = max((v.size for v in description.variables.values()), default=1)
 
     def load(self, instance: FmuInstance | None = None) -> None:
-        """Load the FMU and instantiate it, unless another's instance is to be used.
+        """Load and instantiate the FMU, or use the given instance.
 
         Raises
         ------
         ModelError
-            If that does not work on this machine.
+            If the FMU cannot be loaded on this machine.
         """
         self.instance = (
             FmuInstance(self._model, self._description) if instance is None else instance
@@ -95,9 +95,9 @@ class FmuIntegrator:
         effects
             The effects that act.
         loop
-            Simulates in place of the solver.
+            Replaces the solver's loop.
         bounds : (points,)
-            Sums of squared residuals above which simulations end early; none if None.
+            Sums of squared residuals above which simulations end early; None for no bounds.
         """
         run = BatchRun(bound, values, effects, bounds)
         loop = self.loop if loop is None else loop
@@ -109,7 +109,7 @@ class FmuIntegrator:
         return run.result
 
     def starts(self, instance: FmuInstance, bound: BoundExperiment, point: FloatArray) -> bool:
-        """Start a new instance, which can be reset from then on; False if that does not work."""
+        """Start a new instance, so that it can be reset later; return whether this succeeded."""
         started = self._starts(instance, self._told(instance.begin()), bound, point)
         return started or self._lacked_stop_time(instance, bound, point)
 
@@ -130,9 +130,9 @@ class FmuIntegrator:
     def _lacked_stop_time(
         self, instance: FmuInstance, bound: BoundExperiment, point: FloatArray
     ) -> bool:
-        """Return whether a start that failed works with a stop time, which is told from then on.
+        """Return whether a failed start succeeds with a stop time, which is then always set.
 
-        What was told before is tried once more, because some FMUs fail by chance.
+        The previous setting is tried once more, because some FMUs fail randomly.
         """
         before = self._stop_unit
         if self._model.stop_time is False:
@@ -142,7 +142,7 @@ class FmuIntegrator:
                 component = instance.begin_anew()
                 component.stop_unit = unit
                 started = self._starts(instance, component, bound, point)
-            except ModelError:  # there is no other instance to be had
+            except ModelError:  # no further instance can be made
                 return False
             if started and unit != before:
                 _stop_units[self._model.archive_hash] = unit
@@ -159,15 +159,16 @@ class FmuIntegrator:
         )
 
     def _told(self, component: Fmu) -> Fmu:
-        """Let an instance be told the stop time if the FMU needs it."""
+        """Set an instance's unit of the stop time, if the FMU needs one."""
         component.stop_unit = self._stop_unit
         return component
 
     def find_jacobian(self, bound: BoundExperiment) -> None:
-        """Let CVODE use the FMU's directional derivatives, if they are right at the start.
+        """Make CVODE use the FMU's directional derivatives, if they are correct at the start.
 
-        That is at the FMU's own start values, so that all workers find the same, and in an instance
-        of its own: the other one must be new when its first simulation begins.
+        They are checked at the FMU's own start values, so that all workers come to the same result.
+        The check uses a separate instance, because the other instance must be new in its first
+        simulation.
         """
         if not self._checks_jacobian or not isinstance(self.loop, CvodeLoop):
             return
@@ -188,18 +189,18 @@ class FmuIntegrator:
             return
         finally:
             apart.free()
-        if found.error <= MAX_JACOBIAN_ERROR:  # zeros in place of derivatives are an error of 1
+        if found.error <= MAX_JACOBIAN_ERROR:  # zeros instead of derivatives give an error of 1
             self.loop.jacobian = jacobian
 
     def _instance_apart(self) -> FmuInstance:
-        """Return another instance; where there is no seat for it, that of the worker goes before.
+        """Return a second instance; if there is no seat for it, free the worker's instance first.
 
-        The worker's is made again with the first simulation.
+        The first simulation makes the worker's instance again.
 
         Raises
         ------
         ModelError
-            If no instance is to be had.
+            If no instance can be made.
         """
         try:
             return FmuInstance(self._model, self._description)
@@ -211,7 +212,7 @@ class FmuIntegrator:
 
     @property
     def gives_jacobian(self) -> bool:
-        """True once CVODE takes its Jacobian from the FMU; decided at the first simulation."""
+        """Whether CVODE takes its Jacobian from the FMU; decided at the first simulation."""
         return isinstance(self.loop, CvodeLoop) and len(self.loop.jacobian.states) > 0
 
     def component(self) -> Fmu:
@@ -220,7 +221,7 @@ class FmuIntegrator:
         return self._told(self.instance.begin_anew() if anew else self.instance.begin())
 
     def _settings_for(self, run: BatchRun) -> Settings:
-        """Return the settings of the solver, with tolerances of the effects' states."""
+        """Return the settings of the solver, with tolerances for the effects' states."""
         states = run.effects.n_states
         if states not in self._settings:
             self._settings[states] = self._make_settings(states)
@@ -246,11 +247,11 @@ class FmuIntegrator:
 
     @property
     def _new_instance_each(self) -> bool:
-        """True if each simulation has an instance of its own."""
+        """Whether each simulation has a new instance."""
         return self._model.reset in ("instance", "process")
 
     def _simulate_from(self, run: BatchRun, loop: Loop, first: int) -> int:
-        """Simulate points from the first to one that fails; returns the next one to simulate."""
+        """Simulate points up to the first failure; return the next point to simulate."""
         self.instance.log.clear()
         alone = self._new_instance_each or self.instance.is_new
         try:
@@ -270,7 +271,7 @@ class FmuIntegrator:
             run.result.codes[last] = code = failure.TERMINATED
             run.stopped_at[last] = max(run.stopped_at[last], end)
         if last > first and self.instance.log and code != failure.ENDED_EARLY:
-            following = last  # again, alone: its neighbours may have said some of this
+            following = last  # repeat it alone: the log may contain messages of other points
         else:
             run.result.messages[last] = self._explain(code, float(run.stopped_at[last]))
         if code >= failure.FATAL:
@@ -286,7 +287,7 @@ class FmuIntegrator:
         return following
 
     def _simulate(self, run: BatchRun, loop: Loop, fmu: Fmu, first: int, count: int) -> int:
-        """Simulate points, up to one that fails; returns how many."""
+        """Simulate points up to the first failure; return their number."""
         settings = self._settings_for(run)
         batch = run.batch(first, count, fmu, settings, self._method)
         batch.largest_array, batch.progress = self._largest_array, self._progress_at
@@ -295,7 +296,7 @@ class FmuIntegrator:
             with kept_signal_handlers():
                 return loop(batch)
         finally:
-            if os.getpid() != process:  # the FMU has copied it: who answers already is enough
+            if os.getpid() != process:  # the FMU has forked; only the original answers
                 os._exit(0)
             self._progress[RUNNING] = 0
 
@@ -311,7 +312,7 @@ class FmuIntegrator:
 
 
 def _may_use_jacobian(model: Model, description: ModelDescription) -> bool:
-    """Return whether an FMU offers it, and may be started once only to check it."""
+    """Return whether an FMU provides directional derivatives, and may be started to check them."""
     offered = description.offer(model.interface).provides_directional_derivatives
     new_process = model.reset == "process"
     return offered and not new_process and len(directional_jacobian(description).states) > 0

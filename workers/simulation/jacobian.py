@@ -1,6 +1,6 @@
-"""The Jacobian of an FMU's states by its directional derivatives, after a check of them.
+"""The Jacobian of an FMU's states from its directional derivatives, and their verification.
 
-They may be silently zero or wrong, so they are compared with differences at the present states.
+They may be zero or wrong without a message, so they are compared with finite differences.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 
 STATE_DIFFERENCE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
-"""Step of a central difference, over the size of a state."""
+"""Step of a central difference, relative to the size of a state."""
 MAX_JACOBIAN_ERROR = 1e-4
-"""Largest error of directional derivatives, over the largest derivative in their row."""
+"""Largest error of directional derivatives, relative to the largest derivative in their row."""
 
 
 class DirectionalJacobian(NamedTuple):
-    """Value references of states and their derivatives; none where there are no such functions."""
+    """Value references of states and their derivatives; empty if not available."""
 
     states: tuple[int, ...] = ()
     derivatives: tuple[int, ...] = ()
@@ -30,14 +30,14 @@ class DirectionalJacobian(NamedTuple):
 
 @dataclass(frozen=True)
 class StateJacobian:
-    """Directional derivatives of the state derivatives by the states, against differences.
+    """Comparison of directional derivatives with finite differences.
 
     Attributes
     ----------
     error
-        The largest difference, over the largest derivative of that state derivative.
+        The largest difference, relative to the largest derivative of that state derivative.
     zero
-        Whether all are 0 where differences are not.
+        Whether all directional derivatives are 0, but not all finite differences.
     """
 
     error: float
@@ -45,7 +45,7 @@ class StateJacobian:
 
 
 def directional_jacobian(description: ModelDescription) -> DirectionalJacobian:
-    """Return the references of the Jacobian; none where the FMU does not declare enough."""
+    """Return the references of the Jacobian; empty if the FMU does not declare enough."""
     variables = description.variables
     derivatives = {v.derivative_of: v for v in variables.values() if v.derivative_of}
     if any(name not in derivatives for name in description.states):
@@ -61,14 +61,14 @@ def directional_jacobian(description: ModelDescription) -> DirectionalJacobian:
 def compare_with_differences(
     fmu: Any, version: str, jacobian: DirectionalJacobian
 ) -> StateJacobian:
-    """Compare directional derivatives with differences, in continuous-time mode.
+    """Compare directional derivatives with finite differences, in continuous-time mode.
 
     Parameters
     ----------
     fmu
         The instance as an object of fmpy.
     version
-        Of FMI.
+        Version of FMI.
     jacobian
         The references of states and derivatives.
 
@@ -101,7 +101,7 @@ def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> 
 
 
 class _StateVectors:
-    """States and their derivatives, through the calls of either version."""
+    """States and their derivatives, for both versions of FMI."""
 
     def __init__(self, fmu: Any, count: int, version: str) -> None:
         self._fmu, self._count, self._fmi_2 = fmu, count, version == "2.0"

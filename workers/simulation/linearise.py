@@ -1,6 +1,6 @@
-"""Linearisation of a model along one simulation, and the extended Kalman filter that rests on it.
+"""Linearisation of a model along a simulation, and the extended Kalman filter based on it.
 
-What the core is asked, and what it answers, is prepared here.
+This module prepares the structures of the core and reads their results.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 
 @dataclass(frozen=True)
 class PreparedExperiment:
-    """An experiment with the effects that act on it, ready to be linearised.
+    """An experiment with its active effects, ready for linearisation.
 
     Attributes
     ----------
     effects, with_offsets
-        The effects, and the same with an offset at each input: a coefficient, 0 in the simulation,
-        that is added behind all effects. None where nothing acts while the simulation runs; the
-        inputs themselves are perturbed then.
+        The effects, and the effects with an additional offset at each input. An offset is a
+        coefficient, 0 in the simulation, that is added after all effects. None if no effect acts
+        during the simulation; then the inputs themselves are perturbed.
     n_coefficients
-        Coefficients of the task, after which those of the offsets follow.
+        Number of coefficients of the task; those of the offsets follow.
     """
 
     model: Model
@@ -59,10 +59,10 @@ class PreparedExperiment:
         component: Callable[[], Fmu],
         cvode: CvodeLoop | None = None,
     ) -> LinearisationPass:
-        """Prepare the linearisation at one point: values of parameters, then coefficients.
+        """Prepare the linearisation at a point: values of parameters, then coefficients.
 
-        `component` gives the FMU for one more simulation; `cvode` is the solver, if the model names
-        that one.
+        `component` returns the FMU for another simulation; `cvode` is the loop if the solver is
+        CVODE.
         """
         effects, count = self.effects, len(self.model.parameters)
         values, coefficients = point[None, :count], point[None, count:]
@@ -103,7 +103,7 @@ class PreparedExperiment:
         return tuple(n for n in self.model.parameters if self.description.variables[n].tunable)
 
     def _structure(self, values: FloatArray, n: int, outputs: int) -> library.Linearisation:
-        """Ask for the derivatives by all variables, at n times."""
+        """Return the structure for the derivatives by all variables, at n times."""
         known, inner = self.description.variables, self.effects.inner
         changed = inner.parameters if inner is not None else ()
         tunable = [known[name] for name in self.tunable]
@@ -124,14 +124,14 @@ class PreparedExperiment:
 
 @dataclass(frozen=True)
 class LinearisationPass:
-    """One point of a prepared experiment, simulated in place of the solver's loop.
+    """One point of a prepared experiment, simulated with this object instead of the solver's loop.
 
     Attributes
     ----------
     effects
-        Those that act.
+        The active effects.
     asked
-        What is perturbed, and the derivatives.
+        Perturbed variables, and arrays of the derivatives.
     """
 
     prepared: PreparedExperiment
@@ -144,9 +144,9 @@ class LinearisationPass:
     cvode: CvodeLoop | None
 
     def __call__(self, batch: Batch) -> int:
-        """Simulate one point. Always returns 1."""
+        """Simulate one point; always return 1."""
         fmu = None
-        if self.cvode is not None:  # first: nothing else may call the FMU during its steps
+        if self.cvode is not None:  # first, because nothing else may call the FMU during its steps
             batch.states_out = self.asked.x
             self.cvode(batch)
             code = c_int64.from_address(batch.codes)
@@ -164,7 +164,7 @@ class LinearisationPass:
     def result(self, outputs: FloatArray, without_effects: BoundExperiment) -> Linearisation:
         """Return the linearisation at the times of the experiment's own grid.
 
-        `outputs` are as recorded.
+        `outputs` are the recorded outputs.
         """
         found, effects = self.asked.held, self.prepared.effects
         kept = np.searchsorted(self.bound.grid.times, without_effects.grid.times)
@@ -199,12 +199,12 @@ def prepare(
     active: Sequence[tuple[EffectDefinition, int]],
     n_coefficients: int,
 ) -> PreparedExperiment:
-    """Prepare an experiment to be linearised with the effects that act on it.
+    """Prepare an experiment for linearisation with its active effects.
 
     Parameters
     ----------
     active
-        Each effect that does something, with the position of its first coefficient.
+        Each active effect with the position of its first coefficient.
     n_coefficients
         Number of coefficients of the task.
     """
@@ -228,9 +228,9 @@ def prepare(
 def _with_all_inputs_driven(
     model: Model, description: ModelDescription, experiment: Experiment
 ) -> Experiment:
-    """Add a constant signal for each real input of the FMU that nothing sets.
+    """Add a constant signal for each real input of the FMU that is not set.
 
-    The FMU would keep these at their start values by itself; here, they have derivatives.
+    The FMU would keep these inputs at their start values, but here derivatives by them are needed.
     """
     given = {signal.variable for signal in experiment.inputs} | set(model.parameters)
     known = dict(experiment.values)
@@ -250,9 +250,9 @@ def linearisation(
     parameters: Sequence[ModelVariable],
     shape: tuple[int, int],
 ) -> library.Linearisation:
-    """Ask for derivatives by some variables, at as many times and of as many outputs as `shape`.
+    """Return the structure for derivatives by some variables; `shape` is (times, outputs).
 
-    None stands for a state of an effect. With solver "cvode" the states must be there already.
+    None represents a state of an effect. With solver "cvode", the states must already be computed.
     """
     n, y = shape
     x, u, p = len(states), len(inputs), len(parameters)
@@ -266,7 +266,7 @@ def linearisation(
 
 
 def _range(variables: Sequence[ModelVariable | None]) -> Range:
-    """Nominal values and bounds of variables."""
+    """Return the nominal values and bounds of variables."""
     return Range(n=len(variables)).hold(
         np.float64,
         nominals=[1.0 if v is None else v.nominal for v in variables],
@@ -276,17 +276,18 @@ def _range(variables: Sequence[ModelVariable | None]) -> Range:
 
 
 LEAST_SPREAD_FACTOR = 1e-6
-"""Factor of the squares of residuals that a `log_spread` of another model leaves at least."""
+"""Smallest factor of the squares of residuals for a `log_spread` of another model."""
 
 
 @dataclass(frozen=True)
 class FilterPass:
-    """One point of an experiment, simulated in place of the solver's loop.
+    """One point of an experiment, filtered with this object instead of the solver's loop.
 
     Attributes
     ----------
     asked
-        What is perturbed, and the derivatives; its offsets are the effects that act if it has none.
+        Perturbed variables, and arrays of the derivatives. Without offsets, the active effects are
+        used.
     kalman
         Noise, measurements, innovations.
     log_spread
@@ -298,7 +299,7 @@ class FilterPass:
     log_spread: float
 
     def __call__(self, batch: Batch) -> int:
-        """Simulate one point. Always returns 1."""
+        """Simulate one point; always return 1."""
         if not self.asked.offsets:
             self.asked.offsets = batch.effects
         core().core_filter(addressof(batch), addressof(self.asked), addressof(self.kalman))
@@ -310,17 +311,18 @@ class FilterPass:
         return float(np.add.reduce(np.log(spreads / grid.sigmas**2)))
 
     def standardised(self, grid: SignalGrid) -> FloatArray:
-        """Return (residuals,): innovations whose sum of squares is -2 log likelihood.
+        """Return innovations whose sum of squares is -2 log likelihood, (residuals,).
 
-        Up to a constant that is e'e / S + log(S / sigma^2), summed over all values. The second part
-        is not negative, as S is at least sigma^2; so the innovations over their spreads,
-        r = e / sqrt(S), are lengthened until their squares have both:
+        Up to a constant, -2 log likelihood is e'e / S + log(S / sigma^2), summed over all values.
+        The second part is not negative, because S is at least sigma^2. So the innovations over
+        their standard deviations, r = e / sqrt(S), are scaled until their sum of squares includes
+        it:
 
             r sqrt(1 + sum log(S / sigma^2) / r'r).
 
-        Records add up, whatever their lengths and times. Where the experiment has a `log_spread`,
-        that is taken off the sum: near the model that it is of, the residuals are r itself, white
-        and of variance 1.
+        Sums of squares of records add up, whatever their lengths and times. The `log_spread` of the
+        experiment is subtracted from the sum. Near the model of that `log_spread`, the residuals
+        are r itself, white and of variance 1.
         """
         spreads = self.kalman.held["spreads"].ravel()[grid.gather]
         plain = self.kalman.held["innovations"].ravel()[grid.gather] / np.sqrt(spreads)
@@ -338,12 +340,12 @@ class StateNoise:
     Attributes
     ----------
     state
-        Its name, that of an effect's own state among them.
+        Name of the state, which may be an effect's own state.
     density
         q^2.
     variance
-        Of the state at the start, besides: that of an Ornstein-Uhlenbeck process that has gone on
-        for long.
+        Additional variance of the state at the start: the stationary variance of an
+        Ornstein-Uhlenbeck process.
     """
 
     state: str
@@ -352,7 +354,7 @@ class StateNoise:
 
     @classmethod
     def of(cls, definition: EffectDefinition, coefficients: FloatArray) -> StateNoise:
-        """Return the noise of an effect, from where its coefficients begin."""
+        """Return the noise of an effect; `coefficients` start with its first coefficient."""
         density = float(coefficients[0]) ** 2
         if not definition.states:
             return cls(definition.site.target, density)
@@ -369,20 +371,21 @@ def prepare_filter(
     log_spread: float,
     linearised: LinearisationPass | None = None,
 ) -> FilterPass:
-    """Prepare one point of an experiment.
+    """Prepare the filter for one point of an experiment.
 
     Parameters
     ----------
     model, description, bound
-        The FMU and the experiment, with the effects that act on it.
+        The FMU and the experiment, with its active effects.
     states
-        Of the FMU, then the own ones of those effects.
+        States of the FMU, then own states of those effects.
     noise
-        On some of them.
+        Noise at some of the states.
     log_spread
-        Of the experiment.
+        That of the experiment.
     linearised
-        The pass whose derivatives are to be taken along the filter; None for those that it needs.
+        The pass whose derivatives are computed along the filter; None for only those that the
+        filter needs.
     """
     grid, count = bound.grid, len(states)
     n, y = len(grid.times), len(bound.outputs)

@@ -18,20 +18,20 @@ from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.integrator import FmuIntegrator
 
 SOLVERS = ("dormand_prince", "rk4")
-"""Those that carry sensitivities along."""
+"""Solvers that support sensitivities."""
 PARAMETER_DIFFERENCE_STEP = 6e-6
-"""The cube root of the rounding unit: of a parameter, for differences of instances and initial
-states; they are no simulations, so rounding is all their noise."""
+"""Relative step of a parameter for differences of instances and initial states: the cube root of
+the rounding unit. Their only noise is rounding, because no simulation is involved."""
 INITIAL_STATES, KNOWN, DIFFERENCES = range(3)
-"""How a parameter acts: on initial states alone; as a known of the directional derivatives; or it
-is none of them, and there are differences of instances."""
+"""Kinds of parameters: acts only on initial states; is a known of the directional derivatives; or
+is neither, so that differences of instances are used."""
 NOT_AVAILABLE = -1
-"""A kind beside those: no sensitivity can be computed."""
+"""Kind of a parameter for which no sensitivity can be computed."""
 
 
 @dataclass(frozen=True)
 class SensitivityPass:
-    """One point of an experiment, simulated with sensitivities in place of the solver's loop."""
+    """One point of an experiment, simulated with sensitivities instead of the solver's loop."""
 
     structure: Sensitivities
 
@@ -41,7 +41,7 @@ class SensitivityPass:
 
 
 class SensitivitySource:
-    """Forward sensitivities of one FMU; the kinds of its parameters are found once.
+    """Forward sensitivities of an FMU; the kinds of its parameters are determined once.
 
     Parameters
     ----------
@@ -53,10 +53,10 @@ class SensitivitySource:
         self._model, self._description = model, description
         self._kinds: IntArray | None = None
         self.perturbed: list[FmuInstance] = []
-        """Instances for parameters by which there are only differences."""
+        """Instances for parameters whose derivatives are finite differences."""
 
     def unavailable_reason(self, bound: BoundExperiment) -> str:
-        """Return why an experiment has none; "" where it may have them."""
+        """Return why sensitivities are not available for an experiment; "" if they may be."""
         known, solver = self._description.variables, self._model.solver.name
         if self._model.reset in ("instance", "process"):
             return (
@@ -89,7 +89,7 @@ class SensitivitySource:
     ) -> SensitivityPass:
         """Prepare the simulation of one point: the values of the model's parameters.
 
-        `kinds` are those of `parameter_kinds`; `handle` is that of the instance that simulates.
+        `kinds` are those of `parameter_kinds`; `handle` is the simulating instance.
         """
         chosen = np.flatnonzero(kinds != NOT_AVAILABLE)
         states = self._references(self._description.states)
@@ -131,7 +131,7 @@ class SensitivitySource:
     def parameter_kinds(
         self, integrator: FmuIntegrator, bound: BoundExperiment, point: FloatArray
     ) -> IntArray | str:
-        """Return the kind of each of the model's parameters; a message if it does not start."""
+        """Return the kinds of the model's parameters, or a message if the FMU does not start."""
         if self._kinds is not None:
             return self._kinds
         kinds = np.full(len(self._model.parameters), NOT_AVAILABLE, np.int64)
@@ -152,7 +152,7 @@ class SensitivitySource:
     def _status_of_derivatives(
         self, integrator: FmuIntegrator, bound: BoundExperiment, point: FloatArray, known: int
     ) -> int | None:
-        """Ask for the directional derivatives by a variable; None where it does not start."""
+        """Return the status of directional derivatives by a variable; None without a start."""
         unknowns = np.array([v.reference for v in self._derivatives().values()], np.uint32)
         found = np.zeros(len(unknowns) + 1)
         statuses: list[int] = []
@@ -175,14 +175,14 @@ class SensitivitySource:
             instance.free()
 
     def _add_perturbed_instances(self) -> int:
-        """Add two instances, where there may be more. Returns the kind of the parameter then."""
+        """Add two instances if possible; return the resulting kind of the parameter."""
         if self._description.once_per_process or self._model.seats is not None:
             return NOT_AVAILABLE
         added: list[FmuInstance] = []
         try:
             for _ in range(2):
                 added.append(FmuInstance(self._model, self._description))  # noqa: PERF401
-        except ModelError:  # there may be one only, though the FMU does not say so
+        except ModelError:  # some FMUs allow only one instance without declaring it
             for instance in added:
                 instance.free()
             return NOT_AVAILABLE
@@ -190,7 +190,7 @@ class SensitivitySource:
         return DIFFERENCES
 
     def _perturbed_values(self, point: FloatArray) -> FloatArray:
-        """Return (parameters, 2) values above and below each, within declared bounds."""
+        """Return values above and below each parameter value, within bounds, (parameters, 2)."""
         known = [self._description.variables[name] for name in self._model.parameters]
         sizes = np.where(point == 0.0, [v.nominal for v in known], np.abs(point))
         lows = [-np.inf if v.low is None else v.low for v in known]
@@ -200,7 +200,7 @@ class SensitivitySource:
         return np.column_stack([above, below])
 
     def _derivatives(self) -> dict[str, ModelVariable]:
-        """Return the variable that is the derivative of each state."""
+        """Return the derivative variable of each state that has one."""
         found = {v.derivative_of: v for v in self._description.variables.values()}
         return {name: found[name] for name in self._description.states if name in found}
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Simulator:
     """One instance of an FMU and the experiments that it can simulate.
 
-    It must be loaded before it can simulate anything.
+    It must be loaded before a simulation.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Simulator:
     experiments
         Experiments that `run` refers to by index.
     progress
-        Progress that simulations note; see `workers.messages.types`.
+        Progress that simulations record; see `workers.messages.types`.
 
     Raises
     ------
@@ -53,7 +53,7 @@ class Simulator:
         progress: IntArray | None = None,
     ) -> None:
         self._model, self._description = model, description
-        # first the inputs that may change between events, because they are set together
+        # inputs that may change between events come first, because they are set together
         driven = {given.variable for e in experiments for given in e.inputs}
         known = [description.variables[name] for name in driven & description.variables.keys()]
         discrete = {variable.name for variable in known if not variable.is_continuous}
@@ -63,7 +63,7 @@ class Simulator:
         )
         without_effects = [
             replace(e, signals=()) for e in self._experiments
-        ]  # they act through effects alone
+        ]  # signals act only through effects
         self._bound = [bind_experiment(model, description, e) for e in without_effects]
         signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
         self._bindings = EffectBindings(model, description, self._experiments, signals)
@@ -71,12 +71,12 @@ class Simulator:
         self._integrator = FmuIntegrator(model, description, progress)
 
     def load(self, instance: FmuInstance | None = None) -> None:
-        """Load the FMU and instantiate it, unless another's instance is to be used.
+        """Load and instantiate the FMU, or use the given instance.
 
         Raises
         ------
         ModelError
-            If that does not work on this machine.
+            If the FMU cannot be loaded on this machine.
         """
         self._integrator.load(instance)
 
@@ -86,7 +86,7 @@ class Simulator:
 
     @property
     def gives_jacobian(self) -> bool:
-        """True once CVODE takes its Jacobian from the FMU; decided at the first simulation."""
+        """Whether CVODE takes its Jacobian from the FMU; decided at the first simulation."""
         return self._integrator.gives_jacobian
 
     def bound_experiment(self, experiment: int) -> BoundExperiment:
@@ -106,12 +106,13 @@ class Simulator:
         experiment
             Index of the experiment.
         points
-            A row for each: values of the model's parameters, then of the effects' coefficients.
+            A row for each point: values of the model's parameters, then of the effects'
+            coefficients.
         effects
             Effects that are added to the model.
         bounds : (points,)
-            Sums of squared residuals above which simulations end early, where no effects act and
-            the FMU communicates at all times of the grid; none if None.
+            Sums of squared residuals above which simulations end early, if no effects act and the
+            FMU communicates at all times of the grid; None for no bounds.
 
         Raises
         ------
@@ -140,9 +141,8 @@ class Simulator:
     ) -> SimulationBatch:
         """Simulate as `run` does, and linearise the model with its effects at each time.
 
-        It stops at each of them, also where the steps of `run` pass over what was measured.
-
-        With process noise that is along the states that a Kalman filter has corrected.
+        It stops at each time, even if the steps of `run` pass over it. With process noise, the
+        model is linearised at the states corrected by a Kalman filter.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class Simulator:
         point: FloatArray,
         effects: tuple[Effect, ...],
     ) -> FilterPass | None:
-        """Return the filter in whose states a model is linearised; None without process noise."""
+        """Return the filter along which a model is linearised; None without process noise."""
         coefficients = point[len(self._model.parameters) :]
         ((_, active),) = self._bindings.groups(effects, coefficients[None])
         noise = [each for each in active if each[0].form.is_noise]
@@ -209,10 +209,10 @@ class Simulator:
     def sensitivities(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
     ) -> SimulationBatch:
-        """Do as `run` does, with the forward sensitivities of the outputs to the parameters.
+        """Simulate as `run` does, with the forward sensitivities of the outputs to the parameters.
 
-        A point without them has a message that says why, though its simulation may have reached its
-        end.
+        A point without sensitivities has a message with the reason, even if its simulation reached
+        its end.
         """
         bound = self._bound[experiment]
         batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
@@ -221,7 +221,7 @@ class Simulator:
             if not effects:
                 try:
                     run, reason = self._run_with_sensitivities(bound, point)
-                except ModelError as error:  # there is no instance to be had any more
+                except ModelError as error:  # no further instance can be made
                     reason = str(error)
             if run is None:
                 run = self.run(experiment, point[None], effects)
@@ -236,7 +236,7 @@ class Simulator:
     def _run_with_sensitivities(
         self, bound: BoundExperiment, point: FloatArray
     ) -> tuple[SimulationBatch | None, str]:
-        """Run one simulation with sensitivities; None and a reason where it fails."""
+        """Run one simulation with sensitivities; return None and a reason if it fails."""
         reason = self._sensitivity_source.unavailable_reason(bound)
         if reason:
             return None, reason
@@ -268,8 +268,8 @@ class Simulator:
     def is_stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
         """Return whether a model exchange FMU without effects is stiff at a point.
 
-        Solver "cvode" suits it then. It is found within `max_steps` steps of the
-        Dormand-Prince method, and False if the simulation fails within them.
+        Then solver "cvode" is suitable. Stiffness is detected within `max_steps` steps of the
+        Dormand-Prince method; False if the simulation fails within them.
         """
         found = [False]
 
@@ -295,7 +295,7 @@ class Simulator:
         coefficients: FloatArray,
         active: list[tuple[EffectDefinition, int]],
     ) -> SimulationBatch:
-        """Simulate a group of points on which the same effects act."""
+        """Simulate a group of points with the same active effects."""
         without_effects = self._bound[experiment]
         noise = [each for each in active if each[0].form.is_noise]
         if noise:
@@ -315,7 +315,7 @@ class Simulator:
                     self._description,
                     with_memory,
                     bound_effects.recorded,
-                    passing=False,  # their samples are not those of the inputs any more
+                    passing=False,  # effects with memory have other samples than the inputs
                     seen=bound_effects.seen,
                 )
             effects = bound_effects.at_points(
@@ -338,7 +338,7 @@ class Simulator:
         active: list[tuple[EffectDefinition, int]],
         noise: list[tuple[EffectDefinition, int]],
     ) -> SimulationBatch:
-        """Simulate points behind a Kalman filter, with the noise of some of the effects."""
+        """Simulate points with a Kalman filter for the noise of some of the effects."""
         self._check_filter()
         from workers.simulation.linearise import StateNoise, prepare_filter
 
@@ -369,12 +369,12 @@ class Simulator:
         return batch
 
     def _check_filter(self) -> None:
-        """Refuse process noise where the filter cannot see the states.
+        """Check that the filter has access to the states.
 
         Raises
         ------
         ModelError
-            In co-simulation, or of CVODE.
+            In co-simulation, or with solver CVODE.
         """
         solver = self._model.solver.name
         if self._model.interface != "model_exchange" or solver == "cvode":
@@ -386,8 +386,8 @@ class Simulator:
 
 
 def _kept(bound: BoundExperiment, without_effects: BoundExperiment) -> IntArray | slice:
-    """Return which times of an experiment with effects are those of the one without them."""
+    """Return the indices of the times of `without_effects` in the grid of `bound`."""
     times, wanted = bound.grid.times, without_effects.grid.times
-    if len(times) == len(wanted):  # the latter are among the former
+    if len(times) == len(wanted):  # the wanted times are among the others
         return slice(None)
     return np.asarray(np.searchsorted(times, wanted))
