@@ -150,7 +150,7 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
     timed = experiment.outputs or experiment.inputs or experiment.signals
     given = [key for key in ("time", "sample_time") if getattr(experiment, key) is not None]
     if not experiment.outputs and experiment.curve is None and not constrained:
-        yield f"{where}.outputs is missing; add it (FMU output = column), or a curve"
+        yield f"{where}.outputs is missing; add it (FMU output = column), or add the key curve"
     elif experiment.data is None:
         if timed or experiment.curve is not None or given:
             yield f"{where}.data is missing; add it (path of the table, such as a csv file)"
