@@ -98,8 +98,8 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
         return section.experiment
     if section.experiment:
         raise ConfigError(
-            f"{where}.data: must be left out if an experiment of the run is named, but is "
-            f"{section.data!r}; remove data or experiment"
+            f"{where}.data: must not be used with experiment, but is {section.data!r}; remove data "
+            "or experiment"
         )
     table = read_table(base / section.data, f"{where}.data")
     times = table.numbers(section.time, f"{where}.time")

@@ -231,9 +231,9 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         shared = tuple(unknown.label for unknown in unknowns if _is_shared(unknown, groups))
         if not shared:
             raise ProblemError(
-                "parameters: must be shared by experiments, because a new experiment cannot "
-                "determine other parameters better, but each has its own value in every "
-                "experiment; share at least one parameter"
+                "parameters: a new experiment helps only parameters that it shares with other "
+                "experiments, but each has its own value in every experiment; share at least one "
+                "parameter"
             )
         return shared
     found: list[str] = []

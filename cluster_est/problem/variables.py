@@ -156,8 +156,8 @@ def check_effects(
             for name in definition.uses:
                 if name in every and name not in names:
                     raise ProblemError(
-                        f"experiment {experiment.id!r}.signals: must have {name!r}, because effect "
-                        f"{definition.effect.name!r} depends on it, but does "
+                        f"experiment {experiment.id!r}.signals: must have {name!r} (effect "
+                        f"{definition.effect.name!r} depends on it), but does "
                         f"not{nearest(name, names)}"
                     )
 
@@ -255,8 +255,8 @@ def check_value(where: str, variable: ModelVariable, value: Value) -> None:
     if not fits.get(kind, False):
         must = {"integer": called, "boolean": "true or false", "string": "a text"}
         raise ProblemError(
-            f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
-            f"{kind}, but is {shown(value)}"
+            f"{where}: must be {must.get(kind, 'a number')} (the variable is of type {kind}), but "
+            f"is {shown(value)}"
         )
 
 

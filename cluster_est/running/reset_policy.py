@@ -222,9 +222,9 @@ def _open(
 
     if problem.model.working_folder and executor_class(resources.executor).in_process:
         raise UnsuitableExecutorError(
-            "model.working_folder: needs workers in separate processes, because a process has only "
-            f'one working folder, but executor.name is "{resources.executor}"; set executor.name '
-            'to "processes" or "ray"'
+            "model.working_folder: needs workers in separate processes (a process has only one "
+            f'working folder), but executor.name is "{resources.executor}"; set executor.name to '
+            '"processes" or "ray"'
         )
     declared = problem.model.reset
     if known is None and declared != "auto":

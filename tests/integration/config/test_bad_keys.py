@@ -248,8 +248,8 @@ def test_what_is_no_measurement_is_refused(refuse, changes, old, new, pattern):
     ("start", "value", "pattern"),
     [
         ('<Integer start="1"/>', 1.5, "values.m: .*whole number of 32 bits.*integer.*1.5"),
-        ('<Integer start="1"/>', True, "of type integer, but is true"),
-        ('<Integer start="1"/>', 2**40, "of type integer, but is 1099511627776"),
+        ('<Integer start="1"/>', True, r"of type integer\), but is true"),
+        ('<Integer start="1"/>', 2**40, r"of type integer\), but is 1099511627776"),
         ('<Boolean start="true"/>', 2, "values.m: .*true or false.*boolean"),
         ('<Integer start="1"/>', 3, ""),
         ('<Integer start="1"/>', 3.0, ""),

@@ -227,7 +227,11 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
         ('experiment = "exp7"', "", "experiment must be an experiment of the run but is 'exp7'"),
         ('outputs = ["F"]', "", "outputs must be variables that the FMU computes, but 'F' is not"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
-        ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
+        (
+            'data = "a.csv"\nexperiment = "exp4"',
+            "",
+            r"predictions\[0\]\.data: must not be used with",
+        ),
         ('time = "t"', "", r"predictions\[0\]\.time: is only for a planned experiment"),
         ("outputs = 3", "", r"predictions\[0\]\.outputs"),
         (FROM_TABLE, "t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
