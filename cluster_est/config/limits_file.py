@@ -92,8 +92,8 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
         for key in ("inputs", "time", "interpolation"):
             if key in section.model_fields_set:
                 raise ConfigError(
-                    f"{where}.{key}: is only for a planned experiment, whose table data names, but "
-                    f"there is no data; add data, or remove {key}"
+                    f"{where}.{key}: is only for a planned experiment, which needs a table under "
+                    f'the key "data"; add data, or remove {key}'
                 )
         return section.experiment
     if section.experiment:

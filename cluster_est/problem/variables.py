@@ -115,8 +115,8 @@ def _check_set_once(
         variable = description.variables.get(name)
         for own in (o for o in (variable.aliases if variable is not None else ()) if o in seen):
             raise ProblemError(
-                f"{place}: {name!r} must be a different variable, but is another name of {own!r}, "
-                f"which {seen[own]} gives; remove one of the two"
+                f"{place}: {name!r} is another name of {own!r}, which is already in {seen[own]}; "
+                "remove one of the two"
             )
         seen[name] = place
 
@@ -213,7 +213,7 @@ def _check_start(description: ModelDescription, name: str, where: str, *, real: 
         )
     if real and variable.kind != "real":
         raise ProblemError(
-            f"{where}: {name!r} must be a real variable to be estimated, but is of type "
+            f"{where}: {name!r} is estimated, so it must be a real variable, but is of type "
             f"{variable.kind}; give it as a known value in [values] instead"
         )
 

@@ -155,7 +155,7 @@ class ResidualFunction:
     def _run(self, point: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
-                "residuals: must be open to be called, but is closed; create it again with "
+                "residuals: is closed and cannot be called any more; create it again with "
                 "residuals(problem)"
             )
         (solution,) = self._runner.run([SearchRequest("residuals", point, self._space)])

@@ -127,8 +127,8 @@ class CurveSource:
                     return ExperimentCurves(said=NOT_YET)
                 if seconds > MOST_SECONDS_TO_REPEAT:
                     said = (
-                        f"A simulation takes about {duration(seconds)}, which is too long to "
-                        "repeat it"
+                        f"A simulation takes about {duration(seconds)}, which is too long for a "
+                        "repetition"
                     )
                     return ExperimentCurves(said=f"{said} here; {SHOWN_LATER}.")
                 return self._simulator(facts).curves(best, wanted)

@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_is_not_stopped(ended):
     with LivePage(ended) as page:
         answer, content = Visitor(page).ask("/stop", "POST")
     assert answer.status == 409
-    assert b"must be a run in progress to be stopped, but is done" in content
+    assert b"only a run in progress can be stopped, but this run is done" in content
     assert not (ended / "stop").exists()
 
 

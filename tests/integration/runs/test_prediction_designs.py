@@ -224,7 +224,7 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
 @pytest.mark.parametrize(
     ("block", "table", "sentence"),
     [
-        ('experiment = "exp7"', "", "experiment must be an experiment of the run but is 'exp7'"),
+        ('experiment = "exp7"', "", "experiment must be an experiment of the run, but is 'exp7'"),
         ('outputs = ["F"]', "", "outputs must be variables that the FMU computes, but 'F' is not"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         (
@@ -262,7 +262,7 @@ def test_what_cannot_be_predicted_is_refused_in_a_sentence(
 def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
     assert design("--predict", "exp9") == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "predictions: experiment must be an experiment of the run but is 'exp9'" in said
+    assert "predictions: experiment must be an experiment of the run, but is 'exp9'" in said
     assert not (tmp_path / "new.csv").exists()
 
 
