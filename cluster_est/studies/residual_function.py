@@ -155,7 +155,7 @@ class ResidualFunction:
     def _run(self, point: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
-                "residuals: is closed and cannot be called any more; create it again with "
+                "residuals: must not be called after close, but is closed; create it again with "
                 "residuals(problem)"
             )
         (solution,) = self._runner.run([SearchRequest("residuals", point, self._space)])

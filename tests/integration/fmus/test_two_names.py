@@ -30,20 +30,20 @@ def problem(path, names, outputs=("y",), **given):
         (
             ("k", "kk"),
             {},
-            "parameters.kk: 'kk' is another name of 'k', which is already in parameters.k",
+            "parameters.kk: 'kk' is another name of 'k', which is",
         ),
         (("k",), {"values": (("kk", 2.0),)}, "'a'.values.kk: 'kk' is another name of 'k'"),
         (
             ("kk",),
             {"values": (("k", 2.0),)},
-            "another name of 'kk', which is already in parameters.kk",
+            "'kk', which is already in parameters.kk",
         ),
         (
             (),
             {"values": (("k", 1.0), ("kk", 2.0))},
             "another name of 'k', which is already in experiment 'a'",
         ),
-        ((), {"inputs": ("u", "uu")}, "'uu' is another name"),
+        ((), {"inputs": ("u", "uu")}, "another name of 'u'"),
         (("u",), {"inputs": ("uu",)}, "another name of 'u'"),
         ((), {"inputs": ("u",), "values": (("uu", 1.0),)}, "another name of 'uu'"),
     ],
