@@ -33,7 +33,7 @@ class PredictionSection(ConfigSection):
         "",
         description="instead of experiment: table with the inputs of a planned experiment; its "
         "path is relative to the folder of this file; everything that the table lacks "
-        'is taken from the experiment that "like" names',
+        'is taken from the experiment of the key "like"',
     )
     time: str = Field("time", description="column with the times of the table, in seconds")
     inputs: dict[str, str] = Field(
