@@ -126,8 +126,8 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "check": (
         DocumentField("model", "object", "the model: `name`, `interface` and `solver`"),
         DocumentField("checks", "list", "each check: `verdict`, `check`, `found` and `do`"),
-        DocumentField("problems", "whole number", "number of checks with the verdict problem"),
-        DocumentField("check_notes", "whole number", "number of checks with the verdict note"),
+        DocumentField("problems", "whole number", "number of checks with the verdict `problem`"),
+        DocumentField("check_notes", "whole number", "number of checks with the verdict `note`"),
         DocumentField("not_done", "whole number", "number of checks that were not done"),
         DocumentField(
             "unknowns", "whole number", "number of unknowns of a fit to the training experiments"

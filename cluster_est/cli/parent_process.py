@@ -34,7 +34,7 @@ PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "w
 INTERRUPTS_BEFORE_KILL = 4
 """Number of interrupts after which the child is killed, because an FMU in it may ignore them."""
 INTERRUPTED = (
-    "cluster-est: interrupted ({} before the process of this command could end in order); continue "
+    "cluster-est: interrupted ({} before the process of this command could end properly); continue "
     "a run that had begun with --resume"
 )
 FAREWELL, LOADED = b"farewell\n", b"loaded\n"

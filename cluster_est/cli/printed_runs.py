@@ -228,7 +228,7 @@ def _alternative(other: Facts) -> str:
         text += f" (criterion {other['criterion']:+.1f})"
     known = other["time"] is not None and other["difference"] is not None
     if known and other["difference"] < SAME_PREDICTION:
-        return f"{text}; on these data they predict the same"
+        return f"{text}; on these data, their predictions are the same"
     if other["experiment"] and known:
         text += (
             f"; they differ most in {other['experiment']} at {other['time']:.4g} s, "

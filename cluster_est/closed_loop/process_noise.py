@@ -186,9 +186,8 @@ def check_noise_parameters(problem: Problem) -> None:
         for key, given in (("per", parameter.per), ("expression", parameter.expression)):
             if given:
                 raise ProblemError(
-                    f"close-loop: {dotted('parameters', parameter.name)}.{key}: must be left out, "
-                    f"because the search fixes process noise at one number, but {key} is "
-                    f"{given!r}; remove it"
+                    f"close-loop: {dotted('parameters', parameter.name)}.{key}: is {given!r}, but "
+                    "the search fixes process noise at one number; remove it"
                 )
 
 

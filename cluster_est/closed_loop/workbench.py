@@ -179,10 +179,9 @@ def _check_shape(problem: Problem) -> None:
     """Refuse a problem with too few data, or to which the statistical tests do not apply."""
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            "close-loop: the cost must be sse, all outputs must be measured over time, and there "
-            "must be no constraints, because the tests of the search for missing effects need "
-            "this, but the problem has another cost, other outputs or constraints; remove them, "
-            "or use them only in a fit before or after the search"
+            "close-loop: the tests of the search need the cost sse, outputs that are measured over "
+            "time, and no constraints, but the problem has another cost, other outputs or "
+            "constraints; remove them, or use them only in a fit before or after the search"
         )
     for experiment in problem.experiments:
         for output in experiment.outputs:
@@ -197,10 +196,9 @@ def _check_shape(problem: Problem) -> None:
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(
-                f"close-loop: {dotted('parameters', parameter.name)}.prior must be left out, "
-                "because the tests of the search for missing effects treat all residuals as "
-                "residuals of measurements; remove the prior, or use it only in a later fit with "
-                "the effects that were found"
+                f"close-loop: {dotted('parameters', parameter.name)}.prior must not be used, "
+                "because the tests of the search treat all residuals as residuals of measurements; "
+                "remove the prior, or use it only in a later fit with the effects that were found"
             )
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)

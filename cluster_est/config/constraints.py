@@ -299,8 +299,8 @@ def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
         default = ConstraintSection.model_fields[key].get_default(call_default_factory=True)
         if key not in ("name", kind, *_KEYS[kind]) and value != default:
             raise ConfigError(
-                f"{where}.{key}: must be left out with {kind}, because it has no meaning there; "
-                "remove one of the two"
+                f"{where}.{key}: must be left out with {kind}, where it has no meaning; remove "
+                "one of the two"
             )
     for key, other, fits in (("tolerance", "final", True), ("between", "final", False)):
         if getattr(section, key) and (section.final is not None) is not fits:
@@ -324,7 +324,6 @@ def _check_limits(section: ConstraintSection, where: str, measured: set[str]) ->
             )
     if section.tracking is not None and section.signal not in measured:
         raise ConfigError(
-            f"{where}.signal: must be measured in at least one experiment, because the band lies "
-            f"around the measured signal, but {section.signal!r} is "
-            f"not{nearest(section.signal, sorted(measured))}"
+            f"{where}.signal: the band lies around a measured signal, but no experiment measures "
+            f"{section.signal!r}{nearest(section.signal, sorted(measured))}"
         )

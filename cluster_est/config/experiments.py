@@ -316,10 +316,10 @@ def _check_as_measured(output: Output, section: ExperimentSection, config: Confi
         ("weight", 1.0 if output.ordinal else weight, 1.0),
     ):
         if value != usual:
-            why = "it is ordinal" if output.ordinal else "it has a detection_limit"
+            kind = "an ordinal output" if output.ordinal else "an output with detection_limit"
             raise ConfigError(
-                f"experiment {section.id!r}: output {name}: {key} must be {usual!r}, because "
-                f"{why}, but is {value!r}; leave one of the two out"
+                f"experiment {section.id!r}: output {name}: {key} must be {usual!r} for {kind}, "
+                f"but is {value!r}; leave one of the two out"
             )
 
 

@@ -33,7 +33,7 @@ class PredictionSection(ConfigSection):
         "",
         description="instead of experiment: table with the inputs of a planned experiment; its "
         "path is relative to the folder of this file; everything that the table lacks "
-        'is taken from the experiment that "like" names',
+        'is taken from the experiment of the key "like"',
     )
     time: str = Field("time", description="column with the times of the table, in seconds")
     inputs: dict[str, str] = Field(
@@ -92,14 +92,14 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
         for key in ("inputs", "time", "interpolation"):
             if key in section.model_fields_set:
                 raise ConfigError(
-                    f"{where}.{key}: is only for a planned experiment, whose table data names, but "
-                    f"there is no data; add data, or remove {key}"
+                    f"{where}.{key}: is only for a planned experiment, which needs a table under "
+                    f'the key "data"; add data, or remove {key}'
                 )
         return section.experiment
     if section.experiment:
         raise ConfigError(
-            f"{where}.data: must be left out if an experiment of the run is named, but is "
-            f"{section.data!r}; remove data or experiment"
+            f"{where}.data: must not be used with experiment, but is {section.data!r}; remove data "
+            "or experiment"
         )
     table = read_table(base / section.data, f"{where}.data")
     times = table.numbers(section.time, f"{where}.time")

@@ -140,8 +140,8 @@ def _missing_starts(config: Config) -> Iterator[str]:
             )
         elif parameter.start is not None and parameter.expression:
             yield (
-                f"{key}.start: must be left out if there is an expression, because the expression "
-                "gives the value; remove one of the two"
+                f"{key}.start: must not be used with expression, which gives the value; remove one "
+                "of the two"
             )
 
 
@@ -150,7 +150,7 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
     timed = experiment.outputs or experiment.inputs or experiment.signals
     given = [key for key in ("time", "sample_time") if getattr(experiment, key) is not None]
     if not experiment.outputs and experiment.curve is None and not constrained:
-        yield f"{where}.outputs is missing; add it (FMU output = column), or a curve"
+        yield f"{where}.outputs is missing; add it (FMU output = column), or add the key curve"
     elif experiment.data is None:
         if timed or experiment.curve is not None or given:
             yield f"{where}.data is missing; add it (path of the table, such as a csv file)"
@@ -158,8 +158,8 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
         yield missing_time(where, experiment.time, experiment.sample_time)
     if not timed and (experiment.start is None or experiment.stop is None):
         yield (
-            f"{where}: must have start and stop in seconds, because nothing is measured that has "
-            "times, but one of them is missing; add both"
+            f"{where}: an experiment without measured times must have start and stop (in seconds), "
+            "but one of them is missing; add both"
         )
 
 
@@ -310,8 +310,8 @@ def _inner(section: dict[str, Any], key: str) -> dict[str, Any]:
 def _start(given: GivenValue) -> float:
     if isinstance(given.value, bool | str):
         raise ConfigError(
-            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is estimated, "
-            f"but is {shown(given.value)}; correct it (the decimal separator is a point)"
+            f"{VALUE_FILES}: {given.file}: {given.name} is estimated, so its value must be a "
+            f"number, but is {shown(given.value)}; correct it (the decimal separator is a point)"
         )
     return float(given.value)
 

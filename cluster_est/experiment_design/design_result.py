@@ -278,7 +278,7 @@ class DesignResult:
         if name == "expected":
             return self.expected
         raise RunFolderError(
-            "table: must be one of the tables of this design but is "
+            "table: must be one of the tables of this design, but is "
             f"{name!r}{nearest(name, self.tables)}"
         )
 

@@ -130,8 +130,8 @@ class ExperimentLimits(Settings):
         shortest, longest = self.duration
         if not 0.0 < shortest <= longest:
             raise sentence(
-                "duration: must be positive seconds, or [shortest, longest] with shortest <= "
-                f"longest, but is {list(self.duration)}; change it"
+                "duration: must be a positive number of seconds, or [shortest, longest] with "
+                f"0 < shortest <= longest, but is {list(self.duration)}; change it"
             )
         if shortest / self.sample_time < FEWEST_SAMPLES:
             raise sentence(

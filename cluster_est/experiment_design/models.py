@@ -185,8 +185,8 @@ def fit_candidates(
         if solution.jacobian is None or solution.at is None or not solution.at.ok:
             why = solution.message or str(solution.ending)
             raise ProblemError(
-                f"{model.name}: must be simulated with the estimates of the run to plan an "
-                f"experiment, but this simulation failed ({why})"
+                f"{model.name}: a design needs a simulation with the estimates of the run, but "
+                f"this simulation failed ({why})"
             )
     found = assess(spaces[0], solutions[0]).intervals
     ratios = np.array([each.std_error / each.error_white for each in found])

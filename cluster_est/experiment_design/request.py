@@ -71,7 +71,7 @@ class DesignSettings(Settings):
         if self.criterion and self.criterion not in CRITERIA:
             known = ", ".join(repr(name) for name in CRITERIA)
             raise sentence(
-                f"criterion: must be one of {known} but is {self.criterion!r}"
+                f"criterion: must be one of {known}, but is {self.criterion!r}"
                 f"{nearest(self.criterion, CRITERIA)}"
             )
         if self.predictions and self.criterion and not CRITERIA[self.criterion].predicts:
@@ -125,7 +125,7 @@ class DesignRequest:
         known = {experiment.id: experiment for experiment in problem.experiments}
         if name not in known:
             raise ProblemError(
-                f"like: must be an experiment of the run but is {name!r}{nearest(name, known)}"
+                f"like: must be an experiment of the run, but is {name!r}{nearest(name, known)}"
             )
         return known[name]
 
@@ -162,7 +162,7 @@ def models_of(result: object) -> tuple[CandidateModel, ...]:
     problem, x = getattr(result, "problem", None), getattr(result, "x", None)
     if not isinstance(problem, Problem) or not isinstance(x, dict):
         raise ProblemError(
-            f"result: must be a result of fit or close_loop but is {type(result).__name__}; fit "
+            f"result: must be a result of fit or close_loop, but is {type(result).__name__}; fit "
             "first"
         )
     return (CandidateModel(FITTED_MODEL, problem, x),)
@@ -231,9 +231,9 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         shared = tuple(unknown.label for unknown in unknowns if _is_shared(unknown, groups))
         if not shared:
             raise ProblemError(
-                "parameters: must be shared by experiments, because a new experiment cannot "
-                "determine other parameters better, but each has its own value in every "
-                "experiment; share at least one parameter"
+                "parameters: a new experiment helps only parameters that it shares with other "
+                "experiments, but each has its own value in every experiment; share at least one "
+                "parameter"
             )
         return shared
     found: list[str] = []
@@ -283,7 +283,7 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
     limits, like, variables = request.limits, request.like, description.variables
     if not any(len(output.times) for output in like.outputs):
         raise ProblemError(
-            f"like: experiment {like.id!r} must have measured outputs but has none; choose "
+            f"like: experiment {like.id!r} must have measured outputs, but has none; choose "
             "another experiment"
         )
     known = [given.variable for given in like.inputs]
@@ -291,8 +291,8 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
         _check_known(name, dotted("inputs", name), known, f"an input of experiment {like.id!r}")
         if variables[name].type == "Boolean":
             raise ProblemError(
-                f"{dotted('inputs', name)}: must be a real number to be designed, but is true or "
-                "false; leave this input out, and it is taken from the experiment that like names"
+                f"{dotted('inputs', name)}: a designed input must be a real number, but this input "
+                'is true or false; leave it out to take it from the experiment of the key "like"'
             )
     for key, names in (("signals", limits.signals), ("start", limits.start)):
         for name in names:
@@ -312,4 +312,4 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
 
 def _check_known(name: str, where: str, known: Collection[str], what: str) -> None:
     if name not in known:
-        raise ProblemError(f"{where}: must be {what} but is not{nearest(name, known)}")
+        raise ProblemError(f"{where}: must be {what}, but is not{nearest(name, known)}")

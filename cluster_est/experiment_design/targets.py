@@ -119,7 +119,7 @@ def _experiments(
         return [experiment for name, experiment in known.items() if name not in planned]
     if own not in known:
         raise ProblemError(
-            "predictions: experiment must be an experiment of the run but is "
+            "predictions: experiment must be an experiment of the run, but is "
             f"{own!r}{nearest(own, known)}"
         )
     return [known[own]]

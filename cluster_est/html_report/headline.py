@@ -170,9 +170,7 @@ def _opening(run: ReportedRun) -> list[str]:
     if run.finished:
         return []
     if run.is_running:
-        return [
-            "This page shows what the run has written so far; the results come when the run ends."
-        ]
+        return ["This page shows what the run has written so far; the results follow when it ends."]
     return [
         _sentence(facts.get("message") or ""),
         "The run left no results; this page shows what is in its folder.",

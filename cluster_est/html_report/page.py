@@ -51,7 +51,7 @@ def write_page(path: Path, text: str) -> None:
         If the path is a folder or cannot be written.
     """
     if path.is_dir():
-        raise RunFolderError(f"{path}: must be a file but is a folder; choose another --out")
+        raise RunFolderError(f"{path}: must be a file, but is a folder; choose another --out")
     write_whole(path, text.encode(), ELSEWHERE, shared=True)
 
 

@@ -178,7 +178,7 @@ def _all_searches(run: ReportedRun) -> list[Block]:
     title = "Costs of all searches"
     chart = Chart(
         (_plot(title, "cost", marks),),
-        "iterations of all searches, in their order",
+        "iterations, counted over all searches",
         legend=len(marks) <= MOST_LEGEND_ENTRIES,
     )
     note = (

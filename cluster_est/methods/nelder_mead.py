@@ -312,10 +312,9 @@ class NelderMead(Method):
         if len(bounded):
             p = space.unknowns[bounded[0]].parameter
             raise ProblemError(
-                f"{dotted('parameters', p.name)}.bounds: must be absent, because method "
-                f'"nelder_mead" does not enforce bounds by default, but are [{p.lower:g}, '
-                f'{p.upper:g}]; remove the bounds, set method.options.bounds = "enforce", or use '
-                'method "pattern_search"'
+                f"{dotted('parameters', p.name)}.bounds: are [{p.lower:g}, {p.upper:g}], but "
+                'method "nelder_mead" does not enforce bounds by default; remove the bounds, set '
+                'method.options.bounds = "enforce", or use method "pattern_search"'
             )
 
     @override

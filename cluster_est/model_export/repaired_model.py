@@ -362,8 +362,8 @@ def gather(
         )
     if not facts.get("config_hash"):
         raise RunFolderError(
-            f"{run_folder}: must have a config to be exported from, but was saved from Python "
-            "without one; use cluster_est.export(result, ...) in Python"
+            f"{run_folder}: an export needs the config of the run, but this run was saved from "
+            "Python without one; use cluster_est.export(result, ...) in Python"
         )
     problem = _problem(run_folder, facts, config, allow_code=allow_code)
     _check_same(run_folder, facts, problem)
@@ -447,7 +447,7 @@ def _check_same(run_folder: Path, facts: Row, problem: Problem) -> None:
     then, now = facts["fmu"]["sha256"], problem.model.archive_hash
     if then != now:
         raise RunFolderError(
-            f"{run_folder}: {problem.model.name} must be the FMU of the run but has changed "
+            f"{run_folder}: {problem.model.name} must be the FMU of the run, but has changed "
             "since; restore that FMU, or fit again"
         )
 
@@ -458,6 +458,6 @@ def _experiment(problem: Problem, name: str | None) -> Experiment | None:
     known = {experiment.id: experiment for experiment in problem.experiments}
     if name not in known:
         raise RunFolderError(
-            f"experiment: must be an experiment of the run but is {name!r}{nearest(name, known)}"
+            f"experiment: must be an experiment of the run, but is {name!r}{nearest(name, known)}"
         )
     return known[name]

@@ -334,7 +334,7 @@ def _check_name(path: Path | None, option: str, suffix: str) -> None:
     if path is None:
         return
     if path.suffix.lower() != suffix:
-        raise ConfigError(f"{option}: must end in {suffix} but is {path.name!r}; rename it")
+        raise ConfigError(f"{option}: must end in {suffix}, but is {path.name!r}; rename it")
     if not path.parent.is_dir():
         raise ConfigError(
             f"{option}: must be in an existing folder, but {path.parent} does not exist; make it, "

@@ -401,17 +401,17 @@ def _bounds(variable: ModelVariable, start: float) -> tuple[tuple[float, float] 
         return (low, max(guess[1], low + abs(start))), "bounds: the FMU's min, and a guess above"
     if high is not None:
         return (min(guess[0], high - abs(start)), high), "bounds: a guess below, and the FMU's max"
-    said = "" if inside else "; the start is outside the FMU's own min and max"
+    said = "" if inside else "; the start value is outside the FMU's own min and max"
     return guess, f"bounds: a guess, {how}{said}"
 
 
 def _guess(variable: ModelVariable, start: float) -> tuple[tuple[float, float], str]:
     if variable.unit in ("K", "degC"):
-        ends, how = (start - _KELVINS, start + _KELVINS), f"{_KELVINS:g} K around the start"
+        ends, how = (start - _KELVINS, start + _KELVINS), f"{_KELVINS:g} K around the start value"
     else:
         ends, how = (
             (start / GUESSED_BOUND_FACTOR, start * GUESSED_BOUND_FACTOR),
-            "from a tenth of the start to ten times the start",
+            "from a tenth of the start value to ten times the start value",
         )
     low, high = sorted(float(f"{end:.12g}") for end in ends)
     return (low, high), how

@@ -84,7 +84,7 @@ def _parameters(draft: ConfigDraft) -> Iterator[str]:
         "# These parameters are estimated from all experiments together. Remove the # before "
         "values that are"
     )
-    yield "# uncertain, and put a # before values that you know, which then are those of the FMU."
+    yield "# uncertain. Put a # before values that you know: then the FMU's own value is used."
     yield "[parameters]"
     if not draft.parameters:
         yield f"# {draft.fmu.name} declares no real parameter with a start value, so there is"

@@ -113,14 +113,13 @@ def _not_repeatable(
     sizes = [f"{name} (by {far[name]:.2g} of its size)" for name in differing]
     said = f"no: {how} in {listed(sizes)}"
     do = (
-        "export the FMU without a random generator or clock; otherwise, choose a method.name that "
-        'uses no differences, such as "pattern_search"'
+        "export the FMU without a random generator or clock, or choose a method.name that uses no "
+        'differences, such as "pattern_search"'
     )
     if len(differing) < len(names):
-        they = "it counts" if len(differing) == 1 else "they count"
         do = (
-            f"leave out outputs that are not measured (perhaps {they} processor time); otherwise "
-            f"{do}"
+            "leave out outputs that are not needed, such as a counter of processor time; "
+            f"otherwise, {do}"
         )
     return fault("repeatable", said, do)
 

@@ -85,9 +85,9 @@ def _check_categories(output: Output, where: str) -> None:
     count = len(np.unique(output.values))
     if len(output.times) and count < 2:
         raise ProblemError(
-            f"{where}: an ordinal output must have at least two different values, because only "
-            f"their order counts, but all {len(output.values)} are {output.values[0]:g}; use a "
-            "longer part of the record, or remove the output"
+            f"{where}: an ordinal output must have at least two different values (only their order "
+            f"counts), but all {len(output.values)} are {output.values[0]:g}; use a longer part of "
+            "the record, or remove the output"
         )
 
 

@@ -193,8 +193,8 @@ def _start(
         )
     if singular and start == 0.0 and not (chosen.fixed and coefficient.neutral == 0.0):
         raise ConfigError(
-            f"{where}: parameters.{coefficient.name}.start: must not be 0, because {declared.form} "
-            f"divides by {coefficient.name}, but is 0; give a value of the expected size"
+            f"{where}: parameters.{coefficient.name}.start: is 0, but {declared.form} divides by "
+            f"{coefficient.name}; give a value of the expected size"
         )
     return start
 

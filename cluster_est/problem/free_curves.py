@@ -238,8 +238,8 @@ def check_table_name(name: str, where: str, made: str) -> None:
     """
     if not all(part.isidentifier() and not keyword.iskeyword(part) for part in name.split(".")):
         raise ConfigError(
-            f"{where}: must have a name of letters, digits and _, because the names of its values "
-            f"are {made}, but is {name!r}; rename it"
+            f"{where}: the name must consist of letters, digits and _ (its values are named "
+            f"{made}), but is {name!r}; rename it"
         )
 
 
@@ -288,9 +288,9 @@ class ShapedCurve:
         check_table_name(self.name, where, "NAME.k1, NAME.k2, ...")
         if self.form.is_characteristic and self.shape.monotone == "decreasing":
             raise ConfigError(
-                f'{where}.monotone: must be "increasing", because outside its range a '
-                'characteristic is the signal itself, but is "decreasing"; use "increasing" and an '
-                "effect gain that changes the sign"
+                f'{where}.monotone: must be "increasing" (outside its range, a characteristic is '
+                'the signal itself), but is "decreasing"; use "increasing" and an effect gain that '
+                "changes the sign"
             )
         if self.shape.slope_change is not None:
             self._check_free_of_keys(where)
@@ -309,7 +309,7 @@ class ShapedCurve:
             for key in self.chosen.get(name or "", ()):
                 if not (name in CURVE_END_COEFFICIENTS and key == "fixed"):
                     raise ConfigError(
-                        f"{where}.parameters.{name}.{key}: must be left out with slope_change, "
+                        f"{where}.parameters.{name}.{key}: must not be used with slope_change, "
                         f"because {why}; remove one of the two"
                     )
 

@@ -111,7 +111,7 @@ class Parameter:
         for key, used in (("fixed", self.fixed), ("expression", bool(self.expression))):
             if used:
                 raise ProblemError(
-                    f"{where}.prior: must be left out with {key}, because the value is not "
+                    f"{where}.prior: must not be used with {key}, because the value is not "
                     "estimated; remove one of the two"
                 )
         self.prior.check(where, self.start, self.lower, self.upper)
@@ -144,8 +144,8 @@ class Parameter:
         for key, used in (("fixed", self.fixed), ("per", self.per), ("scale", self.scale == "log")):
             if used:
                 raise ProblemError(
-                    f"{where}.{key}: must be left out if there is an expression, because the "
-                    "expression gives the value; remove one of the two"
+                    f"{where}.{key}: must not be used with expression, which gives the value; "
+                    "remove one of the two"
                 )
 
     @property

@@ -104,8 +104,8 @@ class Problem:
         self.derived  # noqa: B018 - raises errors immediately
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
-                'experiments: at least one must have role = "train", because parameters are '
-                "estimated from those, but none has; change a role"
+                'experiments: at least one must have role = "train" (parameters are estimated from '
+                "these experiments), but none has; change a role"
             )
         for experiment in self.experiments:
             asked = experiment.constraint_names or experiment.cost_function is not None

@@ -134,8 +134,8 @@ def check_process_noise(problem: Problem) -> None:
     acting = [(effect.site, effect.form) for effect in problem.effects if effect.is_noise]
     if len(set(acting)) < len(acting):
         raise ProblemError(
-            f"{where} may occur only once at a site in each form, because only the sum of two "
-            "could be estimated, but occurs twice; remove one"
+            f"{where} may occur only once at a site in each form (of two, only the sum could be "
+            "estimated), but occurs twice; remove one"
         )
     for experiment in problem.experiments:
         _check_experiment(experiment, where)

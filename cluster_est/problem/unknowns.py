@@ -292,9 +292,9 @@ def label_of(parameter: Parameter, experiment: Experiment) -> str:
     label = groups.get(key, groups.get(""))
     if label is None:
         raise ProblemError(
-            f"experiment {experiment.id!r}: must belong to a group, because "
-            f"{dotted('parameters', parameter.name)} is per {parameter.per!r}, but does not; add "
-            f'group = {{ {key} = "..." }}' + (nearest(key, groups) if groups else "")
+            f"experiment {experiment.id!r}: must belong to a group "
+            f"({dotted('parameters', parameter.name)} has per = {parameter.per!r}), but does not; "
+            f'add group = {{ {key} = "..." }}' + (nearest(key, groups) if groups else "")
         )
     return f"{parameter.name}[{label}]"
 

@@ -115,8 +115,8 @@ def _check_set_once(
         variable = description.variables.get(name)
         for own in (o for o in (variable.aliases if variable is not None else ()) if o in seen):
             raise ProblemError(
-                f"{place}: {name!r} must be a different variable, but is another name of {own!r}, "
-                f"which {seen[own]} gives; remove one of the two"
+                f"{place}: {name!r} is another name of {own!r}, which is already in {seen[own]}; "
+                "remove one of the two"
             )
         seen[name] = place
 
@@ -156,8 +156,8 @@ def check_effects(
             for name in definition.uses:
                 if name in every and name not in names:
                     raise ProblemError(
-                        f"experiment {experiment.id!r}.signals: must have {name!r}, because effect "
-                        f"{definition.effect.name!r} depends on it, but does "
+                        f"experiment {experiment.id!r}.signals: must have {name!r} (effect "
+                        f"{definition.effect.name!r} depends on it), but does "
                         f"not{nearest(name, names)}"
                     )
 
@@ -213,7 +213,7 @@ def _check_start(description: ModelDescription, name: str, where: str, *, real: 
         )
     if real and variable.kind != "real":
         raise ProblemError(
-            f"{where}: {name!r} must be a real variable to be estimated, but is of type "
+            f"{where}: {name!r} is estimated, so it must be a real variable, but is of type "
             f"{variable.kind}; give it as a known value in [values] instead"
         )
 
@@ -255,8 +255,8 @@ def check_value(where: str, variable: ModelVariable, value: Value) -> None:
     if not fits.get(kind, False):
         must = {"integer": called, "boolean": "true or false", "string": "a text"}
         raise ProblemError(
-            f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
-            f"{kind}, but is {shown(value)}"
+            f"{where}: must be {must.get(kind, 'a number')} (the variable is of type {kind}), but "
+            f"is {shown(value)}"
         )
 
 

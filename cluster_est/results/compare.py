@@ -125,7 +125,7 @@ def compare(results: Mapping[str, ResultView] | ResultView, *others: ResultView)
     for name, each in results.items():
         check_kind(each, ResultView, f"compare: {name}", ProblemError, "; fit first")
     if len(results) < 2:
-        raise ProblemError(f"compare: needs at least two results but is given {len(results)}")
+        raise ProblemError(f"compare: needs at least two results, but is given {len(results)}")
     found = {name: each.criteria for name, each in results.items()}
     missing = {name: each.why_not for name, each in found.items() if each.why_not}
     if not missing and len({each.data for each in found.values()}) > 1:

@@ -253,7 +253,7 @@ class Result(ResultView):
         rows |= self.optional_rows()
         if not rows.get(name) and name not in self.tables:
             raise RunFolderError(
-                "table: must be one of the tables of this fit but is "
+                "table: must be one of the tables of this fit, but is "
                 f"{name!r}{nearest(name, self.tables)}"
             )
         found = [dataclasses.asdict(row) for row in rows[name]]

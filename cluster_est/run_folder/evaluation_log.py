@@ -309,7 +309,7 @@ class EvaluationLog:
                     self._say(
                         f"the log has reached {self._settings.max_megabytes:g} MB "
                         "(log.max_megabytes): from now on, the oldest residuals and trajectories "
-                        "are removed; a resumed run repeats the simulations concerned"
+                        "are removed; a resumed run repeats these simulations"
                     )
                 total -= path.stat().st_size
                 if not self._slim_one(path):

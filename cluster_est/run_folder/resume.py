@@ -66,7 +66,7 @@ def check_resumable(out: Path, identity: RunIdentity) -> bool:
     different = _difference(out, facts, identity)
     if different:
         raise RunFolderError(
-            f"{out}: must hold a run of the same problem to be resumed, but {different}; choose "
+            f"{out}: --resume can only continue a run of the same problem, but {different}; choose "
             "another --out, or start again with --overwrite"
         )
     return True

@@ -334,8 +334,8 @@ def _check_bounds(space: SearchSpace) -> None:
             positive = " and positive" if unknown.log else ""
             parameter = unknown.parameter
             raise ProblemError(
-                f"{dotted('parameters', parameter.name)}.bounds: must be finite{positive}, because "
-                f"starts are sampled between them, but are [{parameter.lower:g}, "
+                f"{dotted('parameters', parameter.name)}.bounds: must be finite{positive} (starts "
+                f"are sampled between them), but are [{parameter.lower:g}, "
                 f"{parameter.upper:g}]; narrow them, or give multistart.points instead"
             )
 

@@ -222,9 +222,9 @@ def _open(
 
     if problem.model.working_folder and executor_class(resources.executor).in_process:
         raise UnsuitableExecutorError(
-            "model.working_folder: needs workers in separate processes, because a process has only "
-            f'one working folder, but executor.name is "{resources.executor}"; set executor.name '
-            'to "processes" or "ray"'
+            "model.working_folder: needs workers in separate processes (a process has only one "
+            f'working folder), but executor.name is "{resources.executor}"; set executor.name to '
+            '"processes" or "ray"'
         )
     declared = problem.model.reset
     if known is None and declared != "auto":
@@ -374,9 +374,9 @@ def _refuse_here(
     """Raise an error if an FMU must not run in this process: it crashes or keeps data."""
     if answer.same is None and answer.crashed:
         raise UnsuitableExecutorError(
-            f"executor.name: {file} must survive a simulation to be run in this process, but its "
-            f'first simulation crashed ({answer.message}); choose "processes" or "ray", where a '
-            "crash ends only the simulation concerned"
+            f"executor.name: {file} cannot be run in this process, because its first simulation "
+            f'crashed ({answer.message}); choose "processes" or "ray", where a crash ends only '
+            "that simulation"
         )
     if policy == "process":
         raise UnsuitableExecutorError(

@@ -247,7 +247,7 @@ class SensitivityResult:
         rows: dict[str, Sequence[Any]] = {"ranking": self.ranking, "indices": self.indices}
         if name not in rows:
             raise RunFolderError(
-                "table: must be one of the tables of this sensitivity analysis but is "
+                "table: must be one of the tables of this sensitivity analysis, but is "
                 f"{name!r}{nearest(name, self.tables)}"
             )
         return pa.Table.from_pylist([dataclasses.asdict(row) for row in rows[name]])

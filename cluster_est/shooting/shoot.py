@@ -181,9 +181,8 @@ def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> Se
     cost = train.problem.cost
     if cost.name != "sse":
         raise ProblemError(
-            'method.shooting: needs cost.name = "sse", because the weight of continuity is '
-            f"relative to this cost, but it is {cost.name!r}; change it, or leave method.shooting "
-            "out"
+            'method.shooting: needs cost.name = "sse" (the weight of continuity is relative to '
+            f"this cost), but cost.name is {cost.name!r}; change it, or leave method.shooting out"
         )
     return cut(train.problem, shooting)
 

@@ -156,7 +156,7 @@ class ResidualFunction:
     def _run(self, point: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
-                "residuals: must be open to be called, but is closed; create it again with "
+                "residuals: must not be called after close, but is closed; create it again with "
                 "residuals(problem)"
             )
         (solution,) = self._runner.run([SearchRequest("residuals", point, self._space)])
@@ -208,13 +208,13 @@ def _check(space: SearchSpace) -> None:
         )
     if not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            'cost.name: must be "sse", because residuals are for a sum of squares, but is '
+            'cost.name: must be "sse" (residuals are for a sum of squares), but is '
             f'{problem.cost.name!r}; change it to "sse", or use fit'
         )
     check_priors(problem)
     check_observed_outputs(problem)
     if space.constraint_names:
         raise ProblemError(
-            "constraints: must be absent, because residuals cannot express them, but there is "
+            "constraints: residuals cannot express constraints, but there is "
             f"{space.constraint_names[0]!r}; remove the constraints, or use fit"
         )

@@ -215,7 +215,7 @@ def check_bootstrap(space: SearchSpace) -> None:
     if count < LEAST_EXPERIMENTS:
         raise ProblemError(
             f"uncertainty.bootstrap: needs at least {LEAST_EXPERIMENTS} training experiments to "
-            f"draw from but has {count}; use uncertainty.profiles instead"
+            f"draw from, but has {count}; use uncertainty.profiles instead"
         )
 
 

@@ -104,7 +104,7 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
     if walkers and walkers < least:
         raise ProblemError(
             f"uncertainty.walkers: must be at least {least} (twice the number of unknowns, and at "
-            f"least {LEAST_WALKERS}) but is {walkers}; 0 uses as many as are needed"
+            f"least {LEAST_WALKERS}), but is {walkers}; 0 uses as many as are needed"
         )
     if space.equality.any():
         name = space.constraint_names[int(np.argmax(space.equality))]

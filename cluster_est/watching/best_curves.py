@@ -38,6 +38,8 @@ CURVE_COLUMNS = 500
 MOST_SECONDS_TO_REPEAT = 5.0
 """Longest average duration of the run's simulations for which a simulation is repeated."""
 
+SHOWN_LATER = "the curves are shown when the run has a result"
+
 NOT_YET = (
     "There are no curves yet: a fit shows curves from its first point on, and a search for missing "
     "effects shows them after the first round that adds an effect."
@@ -125,10 +127,10 @@ class CurveSource:
                     return ExperimentCurves(said=NOT_YET)
                 if seconds > MOST_SECONDS_TO_REPEAT:
                     said = (
-                        f"A simulation takes about {duration(seconds)}, which is too long to "
-                        "repeat it"
+                        f"A simulation takes about {duration(seconds)}, which is too long for a "
+                        "repetition"
                     )
-                    return ExperimentCurves(said=f"{said} here; the curves come with the result.")
+                    return ExperimentCurves(said=f"{said} here; {SHOWN_LATER}.")
                 return self._simulator(facts).curves(best, wanted)
         except (ClusterEstError, OSError) as error:
             return ExperimentCurves(said=f"The curves cannot be shown: {error}")
@@ -153,7 +155,7 @@ class CurveSource:
             if resources.instances is not None:
                 raise RunFolderError(
                     "the licence of the FMU limits its instances (executor.instances), and the run "
-                    "uses all of them; the curves come with the result"
+                    f"uses all of them; {SHOWN_LATER}"
                 )
             self._simulated = _BestSimulator(problem, resources.limits)
             self._of = str(facts.get("started"))
@@ -199,8 +201,7 @@ class _BestSimulator:
         """
         if set(best.values) != self._labels:
             raise RunFolderError(
-                "the unknowns of the search differ from those of the config; the curves come "
-                "with the result"
+                f"the unknowns of the search differ from those of the config; {SHOWN_LATER}"
             )
         if self._best is None or best.values != self._best.values:
             self._best, self._known = best, {}

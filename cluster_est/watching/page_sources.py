@@ -139,8 +139,9 @@ class RunPages:
         path = self._run(run).path
         status = str(read_facts(path)["status"])
         if status != RunStatus.RUNNING or left_alone(path, status):
+            now = "no longer running" if status == RunStatus.RUNNING else status
             raise RunFolderError(
-                f"{path}: must be a run in progress to be stopped, but is {status}"
+                f"{path}: only a run in progress can be stopped, but this run is {now}"
             )
         file = path / STOP
         with writing(file, ELSEWHERE):

@@ -143,7 +143,7 @@ def _all_costs(costs: Sequence[tuple[str, int, float]]) -> dict[str, Any]:
     for number, (search, _, cost) in enumerate(costs):
         kinds.setdefault(search_title(search), []).append((number, cost))
     dots = [{"name": name, "points": _thin(own, COST_COLUMNS)} for name, own in kinds.items()]
-    across = "iterations of all searches, in their order"
+    across = "iterations, counted over all searches"
     return {"across": across, "lines": [], "dots": dots, "left_out": 0}
 
 

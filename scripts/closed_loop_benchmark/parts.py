@@ -43,28 +43,32 @@ EXPLANATION = """\
 Each row compares the closed loop with a loop without one part of its search, or without several at
 once. Parts are moves that propose structures, gates that refuse them, and functions that moves
 share ([How it works](how_it_works.md) describes each). Each case is run with and without the part.
-If the run of the whole loop shows that the part changed nothing, the run without it is not needed:
-only the simulations of the part are missing. "Where it acts" counts the other cases.
+If the part changed nothing in the whole loop, the run without it is skipped: its result is that of
+the whole loop, without the simulations of the part. "Where it acts" counts the other cases.
 
 A case is right if every effect has one of its names or the structure is the same model. If nothing
 is missing, a case is right if no effect is added. If the library cannot express the effect, a case
 is right if a free curve follows the held-out data with at most 1.5 times the error of the true
-model. A case is "lost" if it is right with the part and wrong without it, and "won" if it is the
-other way round. p is from the exact McNemar test. "False names" counts the named effects that are
-not true effects, with the part and without it. Held-out errors (median and largest) and simulations
-(geometric mean) are those without the part over those with it.
+model. A case is "lost" if leaving out the part turns a right result into a wrong one. It is "won"
+if leaving out the part turns a wrong result into a right one. "p" is the p-value of the exact
+McNemar test. "False names" counts the named effects that the true system does not have: first with
+the part, then without it. The held-out errors (median and largest) and the numbers of simulations
+(geometric mean) are ratios: the value without the part, divided by the value with it.
 
 All systems may be used for tuning. Pairs and triples are drawn at random from the effects of the
 benchmark, in addition to those that it lists.
 """
 
 DELETED = """\
-These parts were deleted together. They are: other structures of the same size that were extended
-beside the best one ("beam"; what is left of it extends single effects to pairs if none is
-accepted), fits of an accepted structure from other starts ("restarts"), a second look at the
-declared model ("local minimum"), an effect replaced by another one ("replace") or two replaced by
-one ("merge two"), and one effect or a free curve instead of all others even if these explain the
-data ("merge"; if they leave more than noise, this is still tried).
+These parts were deleted together:
+
+- "beam" also extended other structures of the same size as the best one. The part of this name that
+  is left extends single effects to pairs if no single effect is accepted.
+- "restarts" fitted an accepted structure from other starts.
+- "local minimum" examined the declared model a second time.
+- "replace" replaced an effect by another one, and "merge two" replaced two effects by one.
+- "merge" tried one effect or a free curve instead of all others, even if these explain the data. If
+  they leave more than noise, this is still tried.
 """
 
 
@@ -160,7 +164,7 @@ def parts_page(runs: Runs, deleted: Runs | None = None) -> str:
         EXPLANATION,
         f"Cases so far: {cases}.",
         paired(runs),
-        "## Cases that are right with or without a part alone",
+        "## Cases that are right only with a part, or only without it",
         markdown(head, differing),
     ]
     if deleted:

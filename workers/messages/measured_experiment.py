@@ -204,7 +204,7 @@ def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
         )
     if len(points) < 2:
         raise DataError(
-            "curve.points: must have at least two rows, because a curve connects points, but has "
+            "curve.points: must have at least two rows (a curve connects points), but has "
             f"{len(points)}; add points"
         )
     for name, column in zip(variables, points.T, strict=True):

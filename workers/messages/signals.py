@@ -310,8 +310,8 @@ class Output:
         for key, there in given.items():
             if there:
                 raise DataError(
-                    f"{where}.ordinal: must not be used with {key}, because only the order of "
-                    "ordinal values counts, but both are given; remove one of the two"
+                    f"{where}.ordinal: must not be used with {key} (only the order of ordinal "
+                    "values counts), but both are given; remove one of the two"
                 )
 
     @property

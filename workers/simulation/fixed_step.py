@@ -181,7 +181,7 @@ def _step(
         steps = intervals / step
         if np.abs(steps - np.round(steps)).max() > ON_GRID:
             raise ModelError(
-                f"{where}: {description.file} needs a fixed communication step but does not name "
+                f"{where}: {description.file} needs a fixed communication step, but does not name "
                 f"one, and the times of inputs and measurements are {intervals.min():g} to "
                 f"{intervals.max():g} s apart; set model.step to a step that the FMU accepts"
             )

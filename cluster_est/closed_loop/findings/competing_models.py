@@ -107,17 +107,16 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
         return ""
     count = len({frozenset(each.effects) for each in path})
     shares = [percent(each.probability) for each in likely]
-    shares[0] += " of the probability"
     called = [" + ".join(each.effects) or DECLARED for each in likely]
-    named = [f"{name} {share}" for name, share in zip(called, shares, strict=True)]
+    named = [f"{share} for {name}" for name, share in zip(called, shares, strict=True)]
     if len(named) > MOST_NAMED_SETS:
         named = [
             *named[: MOST_NAMED_SETS - 1],
-            f"{len(named) - MOST_NAMED_SETS + 1} less probable sets",
+            f"at most this much for each of {len(named) - MOST_NAMED_SETS + 1} other sets",
         ]
     return (
-        f"{count} sets of effects were compared; with an allowance for a model that is not exact, "
-        f"the data give {in_a_row(named)}"
+        f"{count} sets of effects were compared; with an allowance for model errors, the "
+        f"probability is {in_a_row(named)}"
     )
 
 

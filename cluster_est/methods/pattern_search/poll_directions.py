@@ -129,6 +129,6 @@ class PatternMethod(Method):
     def check(self, space: SearchSpace) -> None:
         if not self.contraction < 1.0:
             raise ProblemError(
-                f"method.options.contraction: must be below 1 but is {self.contraction:g}; 0.5, "
+                f"method.options.contraction: must be below 1, but is {self.contraction:g}; 0.5, "
                 "for example, halves the mesh size if no direction lowers the cost"
             )

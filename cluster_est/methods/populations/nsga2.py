@@ -78,8 +78,8 @@ class Nsga2(PymooMethod):
         ):
             raise ProblemError(
                 'method.options.objectives: must be "experiments" if an experiment has a cost '
-                'function, because its cost does not belong to a single output, but is "outputs"; '
-                "change it, or remove the cost functions"
+                'function (its cost belongs to no single output), but is "outputs"; change it, or '
+                "remove the cost functions"
             )
         count = ParetoFront.count(self.objectives, space)
         if count < 2:

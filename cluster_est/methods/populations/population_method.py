@@ -253,7 +253,7 @@ class PopulationMethod(Method):
         if 0 < self.population < self.least_population:
             raise ProblemError(
                 f"method.options.population: must be at least {self.least_population} for method "
-                f'"{self.name}" but is {self.population}; raise it, or set 0 for the default size'
+                f'"{self.name}", but is {self.population}; raise it, or set 0 for the default size'
             )
         if space.equality.any() and not self.keeps_equality:
             name = space.constraint_names[int(np.argmax(space.equality))]

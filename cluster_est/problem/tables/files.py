@@ -112,6 +112,5 @@ def _refuse_idle(kind: TableFormat, reading: Reading, path: Path, where: str) ->
     for key in vars(reading):
         if key not in known and getattr(reading, key) != getattr(usual, key):
             raise DataError(
-                f"{where}.{key}: must be left out, because it has no meaning for {path}, a "
-                f"{kind.name} file, but is given; remove it"
+                f"{where}.{key}: has no meaning for {path}, whose format is {kind.name}; remove it"
             )

@@ -34,7 +34,7 @@ def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
     for name in (names, values):
         if name not in table.columns:
             raise DataError(
-                f"has no column {name!r}, which the key long names; {table.without(name)}"
+                f'has no column {name!r}, but the key "long" gives this name; {table.without(name)}'
             )
     signals = table.tests(names, "long")
     others = {name: each for name, each in table.columns.items() if name not in (names, values)}

@@ -186,8 +186,8 @@ class MeasuredColumns:
             return times
         if self.rows is not None:
             raise DataError(
-                f"{self.where}.rows: must be left out if columns have their own times, as {name!r} "
-                "has, but is given; use start and stop instead"
+                f"{self.where}.rows: cannot be used if a column has its own times, as {name!r} "
+                "has; use start and stop instead"
             )
         first, rows = self.clock(clock.time), table.rows_of(resolved)
         source = clock.time if selected else str(own)

@@ -107,8 +107,8 @@ def read_times(
         return _of_numbers(table, column, rows, where, (factor, offset), since)
     if factor not in (None, 1.0) or offset:
         raise DataError(
-            f"{where}.columns: the time column {column!r} contains timestamps, so it must have no "
-            "factor or offset, but has one; remove it"
+            f"{where}.columns: the time column {column!r} contains timestamps, so it must have "
+            "neither factor nor offset; remove them"
         )
     ns, known = stamps.ns, stamps.known
     if not known.any():
@@ -152,7 +152,7 @@ def _stamps(table: MeasuredTable, column: str, where: str) -> Stamps | None:
     found = read_stamps(table.column(column, where), table.reading)
     if found is None and table.reading.time_format:
         raise StampError(
-            "time_format: must be left out, because the column has no text, but is given; remove it"
+            "time_format: has no meaning for a column that contains no text; remove it"
         )
     return found
 

@@ -122,5 +122,5 @@ def test_what_does_not_work_with_it_is_one_sentence():
         ce.close_loop(made, settings=output)
     *others, strength, lasting = made.parameters
     each = (*others, replace(strength, per="experiment"), lasting)
-    with pytest.raises(ProblemError, match=r'close-loop: parameters\."wind\.q"\.per: must be left'):
+    with pytest.raises(ProblemError, match=r'close-loop: parameters\."wind\.q"\.per: is'):
         ce.close_loop(replace(made, parameters=each))

@@ -248,8 +248,8 @@ def test_what_is_no_measurement_is_refused(refuse, changes, old, new, pattern):
     ("start", "value", "pattern"),
     [
         ('<Integer start="1"/>', 1.5, "values.m: .*whole number of 32 bits.*integer.*1.5"),
-        ('<Integer start="1"/>', True, "of type integer, but is true"),
-        ('<Integer start="1"/>', 2**40, "of type integer, but is 1099511627776"),
+        ('<Integer start="1"/>', True, r"of type integer\), but is true"),
+        ('<Integer start="1"/>', 2**40, r"of type integer\), but is 1099511627776"),
         ('<Boolean start="true"/>', 2, "values.m: .*true or false.*boolean"),
         ('<Integer start="1"/>', 3, ""),
         ('<Integer start="1"/>', 3.0, ""),
@@ -269,7 +269,7 @@ def test_a_known_value_must_suit_the_type_of_its_variable(tmp_path, refuse, star
 
 def test_a_parameter_must_be_real(tmp_path, refuse):
     (tmp_path / "x.fmu").write_bytes(spoiled_fmu(xml={MASS: '<Integer start="1"/>'}))
-    refuse({"model.fmu": "x.fmu"}, "parameters.m: 'm' must be a real variable.*integer")
+    refuse({"model.fmu": "x.fmu"}, "parameters.m: 'm' .*must be a real variable.*integer")
 
 
 ONLY = {

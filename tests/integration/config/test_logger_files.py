@@ -212,5 +212,5 @@ def test_a_key_that_a_format_has_no_use_for_is_refused(tmp_path, monkeypatch):
     write(tmp_path, "a.csv", 1)
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
     for key, value in (("sheet", "A"), ("time_format", "%H:%M")):
-        with pytest.raises(DataError, match=f"{key}: must be left out, because"):
+        with pytest.raises(DataError, match=f"{key}: has no meaning for"):
             ce.read_problem("first.toml", [f"experiments.a.{key}={value}"])

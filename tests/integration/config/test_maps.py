@@ -186,9 +186,9 @@ TAKEN, STARTED = {"map_2": {"start": 1.0}}, SECTION | {"start": 1.0}
 @pytest.mark.parametrize(
     ("section", "given", "pattern"),
     [
-        (STARTED, {"name": "my-map"}, r"maps\.my-map: must have a name of letters"),
+        (STARTED, {"name": "my-map"}, r"maps\.my-map: the name must consist of letters"),
         (STARTED, {"parameters": TAKEN}, "its value map_2 must have a unique name"),
-        (STARTED, {"values": "a,1\nb,high\nc,1\n"}, "found.csv: b .*a number.*estimated"),
+        (STARTED, {"values": "a,1\nb,high\nc,1\n"}, "found.csv: b is estimated, .*a number"),
         (STARTED, {"values": "a,1\nb,99\nc,1\n"}, r"maps.map.start: .*bounds \[-9.0, 9.0\].*99"),
         (SECTION, {"values": "b,3\n"}, r"maps.map.start is missing, and no file of values"),
     ],

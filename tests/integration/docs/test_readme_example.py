@@ -51,7 +51,7 @@ def test_the_simulations_that_it_takes_are_those_of_the_run(run):
     facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
     for page in ("README.md", "cluster_est/docs/finding_what_is_missing.md"):
         text = (ROOT / page).read_text(encoding="utf-8")
-        (said,) = re.findall(r"([\d,]+) (?:simulations\. Of the benchmark|for the example)", text)
+        (said,) = re.findall(r"([\d,]+) (?:simulations\. The benchmark|for the example)", text)
         assert int(said.replace(",", "")) == pytest.approx(facts["simulations"], rel=0.01)
 
 

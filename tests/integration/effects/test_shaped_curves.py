@@ -196,7 +196,7 @@ def test_what_python_gives_is_checked(tmp_path, own_fmu, keys, said):
 ENDS = ends(1.0)
 BLOCK = {"site": "der(v)", "form": "table", "slope_change": 1.0, "bounds": [-9.0, 9.0]}
 BLOCK |= {"parameters": ENDS}
-LEFT_OUT = "must be left out with slope_change"
+LEFT_OUT = "must not be used with slope_change"
 
 
 @pytest.mark.parametrize(
@@ -215,8 +215,8 @@ LEFT_OUT = "must be left out with slope_change"
             {"site": "output y", "form": "characteristic", "monotone": "decreasing"},
             r"monotone: must be.*increasing",
         ),
-        ({"name": "if"}, r"if: must have a name of letters, digits and _"),
-        ({"name": "my extra"}, r"my extra: must have a name of letters, digits and _"),
+        ({"name": "if"}, r"if: the name must consist of letters, digits and _"),
+        ({"name": "my extra"}, r"my extra: the name must consist of letters, digits and _"),
         (
             {"parameters": {"low": {"start": 1.0}, "high": {"start": 0.0}}},
             r"low\.start: must be below the start of high, which is 0, but is 1",

@@ -237,4 +237,4 @@ def test_an_fmu_that_has_changed_is_refused(run, export):
     original.write_bytes(before + b"\0")
     said = export("--text", code=2)[1]
     original.write_bytes(before)
-    assert "must be the FMU of the run but has changed" in said
+    assert "must be the FMU of the run, but has changed" in said

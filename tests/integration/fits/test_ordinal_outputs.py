@@ -221,8 +221,8 @@ def test_a_config_gives_words(words):
             [outputs("true", ", free_scale='shared'")],
             'free_scale: must not be "shared" for an ordinal output',
         ),
-        ([WORDS, "cost.time_base=union"], "because it is ordinal"),
-        ([WORDS, "cost.normalise=range"], "because it is ordinal"),
+        ([WORDS, "cost.time_base=union"], "for an ordinal output"),
+        ([WORDS, "cost.normalise=range"], "for an ordinal output"),
     ],
 )
 def test_a_mistake_in_a_config_is_met_with_a_sentence(given, said, words, capsys):

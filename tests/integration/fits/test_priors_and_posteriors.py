@@ -91,7 +91,7 @@ def test_a_mistake_is_met_with_a_sentence(given, said, tmp_path, capsys):
 def test_the_closed_loop_does_not_take_a_prior_for_a_measurement(tmp_path, capsys):
     out = str(tmp_path / "run")
     assert main(["close-loop", SPRING, "--out", out, SIGMA, *PRIORS]) == 2
-    assert "parameters.m.prior must be left out, because the tests" in capsys.readouterr().err
+    assert "parameters.m.prior must not be used, because the tests" in capsys.readouterr().err
 
 
 def test_a_coefficient_of_an_effect_is_drawn_to_its_prior(tmp_path):

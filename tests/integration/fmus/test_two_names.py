@@ -27,11 +27,23 @@ def problem(path, names, outputs=("y",), **given):
 @pytest.mark.parametrize(
     ("names", "given", "said"),
     [
-        (("k", "kk"), {}, "parameters.kk: 'kk' must be a different variable, but is another name"),
-        (("k",), {"values": (("kk", 2.0),)}, "'a'.values.kk: 'kk' must be a different variable"),
-        (("kk",), {"values": (("k", 2.0),)}, "another name of 'kk', which parameters.kk gives"),
-        ((), {"values": (("k", 1.0), ("kk", 2.0))}, "another name of 'k', which experiment 'a'"),
-        ((), {"inputs": ("u", "uu")}, "'uu' must be "),
+        (
+            ("k", "kk"),
+            {},
+            "parameters.kk: 'kk' is another name of 'k', which is",
+        ),
+        (("k",), {"values": (("kk", 2.0),)}, "'a'.values.kk: 'kk' is another name of 'k'"),
+        (
+            ("kk",),
+            {"values": (("k", 2.0),)},
+            "'kk', which is already in parameters.kk",
+        ),
+        (
+            (),
+            {"values": (("k", 1.0), ("kk", 2.0))},
+            "another name of 'k', which is already in experiment 'a'",
+        ),
+        ((), {"inputs": ("u", "uu")}, "another name of 'u'"),
         (("u",), {"inputs": ("uu",)}, "another name of 'u'"),
         ((), {"inputs": ("u",), "values": (("uu", 1.0),)}, "another name of 'uu'"),
     ],

@@ -127,7 +127,7 @@ def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed, t
     said, sets = facts(closed)["likely"], rows(closed, "structures")
     known = sorted((row["probability"] for row in sets if row["probability"] >= 0.0), reverse=True)
     assert sum(known) == pytest.approx(1.0)
-    assert f"the data give coulomb at der(v) {percent(known[0])} of the probability" in said
+    assert f"the probability is {percent(known[0])} for coulomb at der(v)" in said
     assert f"{said}." in text
     assert text.count(percent(known[0])) >= 2  # there, and in the table of the step
 

@@ -179,7 +179,7 @@ def test_overrides_say_where_it_runs_and_for_how_long(folder, design, tmp_path, 
     [
         ("[inputs.F]", "[inputs.G]", "inputs.G: must be an input of experiment"),
         ("[signals.y]", "[signals.q]", "signals.q: must be a variable of the FMU"),
-        ("duration", 'like = "exp9"\nduration', "like: must be an experiment of the run but is"),
+        ("duration", 'like = "exp9"\nduration', "like: must be an experiment of the run, but is"),
         ("duration", 'rivals = ["viscous"]\nduration', "rivals: must be among the possible models"),
         ("duration", 'parameters = ["K"]\nduration', "parameters: must be among the estimates of"),
         ("lower = -1.0\nupper = 1.0", "lower = 5.0\nupper = 6.0", "limits: signals.y.lower must"),

@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_is_not_stopped(ended):
     with LivePage(ended) as page:
         answer, content = Visitor(page).ask("/stop", "POST")
     assert answer.status == 409
-    assert b"must be a run in progress to be stopped, but is done" in content
+    assert b"only a run in progress can be stopped, but this run is done" in content
     assert not (ended / "stop").exists()
 
 
@@ -270,7 +270,7 @@ def test_why_there_are_no_curves_is_said(on_its_way, change, said):
 def test_simulations_that_take_long_are_not_repeated(on_its_way, monkeypatch):
     monkeypatch.setattr("cluster_est.watching.best_curves.MOST_SECONDS_TO_REPEAT", 0.0)
     with LivePage(on_its_way) as page:
-        assert "too long to repeat it here" in Visitor(page).state("/curves")["said"]
+        assert "too long for a repetition here" in Visitor(page).state("/curves")["said"]
 
 
 def test_runs_of_a_folder_stand_side_by_side(ended, configured, tmp_path):

@@ -224,10 +224,14 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
 @pytest.mark.parametrize(
     ("block", "table", "sentence"),
     [
-        ('experiment = "exp7"', "", "experiment must be an experiment of the run but is 'exp7'"),
+        ('experiment = "exp7"', "", "experiment must be an experiment of the run, but is 'exp7'"),
         ('outputs = ["F"]', "", "outputs must be variables that the FMU computes, but 'F' is not"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
-        ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
+        (
+            'data = "a.csv"\nexperiment = "exp4"',
+            "",
+            r"predictions\[0\]\.data: must not be used with",
+        ),
         ('time = "t"', "", r"predictions\[0\]\.time: is only for a planned experiment"),
         ("outputs = 3", "", r"predictions\[0\]\.outputs"),
         (FROM_TABLE, "t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
@@ -258,7 +262,7 @@ def test_what_cannot_be_predicted_is_refused_in_a_sentence(
 def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
     assert design("--predict", "exp9") == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "predictions: experiment must be an experiment of the run but is 'exp9'" in said
+    assert "predictions: experiment must be an experiment of the run, but is 'exp9'" in said
     assert not (tmp_path / "new.csv").exists()
 
 

@@ -223,7 +223,7 @@ def test_an_argument_that_cannot_be_is_refused_in_a_sentence(use, given, said):
         ({"outputs": (ce.Output("q", T, T),)}, "experiment 'a'.outputs: mass_spring"),
         ({"outputs": (ce.Output("F", T, T),)}, "must be a variable that mass_spring"),
         ({"outputs": (ce.Output("k", T, T),)}, "its causality is 'parameter'"),
-        ({"values": {"k": "x"}}, "must be a number, because the variable is of type real"),
+        ({"values": {"k": "x"}}, r"must be a number \(the variable is of type real\)"),
         ({"values": {"F": 1.0}}, "must not also be an input of the same experiment"),
     ],
 )

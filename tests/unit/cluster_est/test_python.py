@@ -276,7 +276,7 @@ def test_an_export_has_the_estimates(result, tmp_path):
     ("given", "kind", "said"),
     [
         ({}, ConfigError, "needs an output to write"),
-        ({"fmu": "fitted.txt"}, ConfigError, "must end in .fmu but is 'fitted.txt'"),
+        ({"fmu": "fitted.txt"}, ConfigError, "must end in .fmu, but is 'fitted.txt'"),
         ({"text": True, "experiment": "e9"}, RunFolderError, "must be an experiment of the run"),
         ({"fmu": 3}, ProblemError, "fmu: must be a path, but is 3"),
     ],

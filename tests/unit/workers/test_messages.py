@@ -195,7 +195,7 @@ EFFECT = {"name": "f", "site": "der(v)"}
                     {"variables": ("x",)},
                     "points: must have a column for each of the 1 variables,.*2",
                 ),
-                ({"points": [[0, 1]]}, "points: must have at least two rows, .*but has 1"),
+                ({"points": [[0, 1]]}, "points: must have at least two rows .*but has 1"),
                 ({"points": [0, 1]}, r"points: must be a table of numbers.*\(2,\)"),
                 ({"points": "a"}, "points: must be a table of numbers.*'a'"),
                 ({"points": [[0, 1], [0, np.nan]]}, "points of 'v', index 1: must be a finite"),

@@ -143,7 +143,7 @@ def _inside(source: str, beside: str, names: set[str]) -> str:
         if found in names:
             return found
     raise DataError(
-        f"must have the file {source}, which {beside} names, but does not; check the FMU"
+        f"{beside} refers to the file {source}, but there is no such file; check the FMU"
     )
 
 

@@ -43,7 +43,7 @@ def test_a_file_says_what_the_experiment_may_be(tmp_path):
         ("upper = 8.0", "uper = 8.0", "inputs.F.uper.*did you mean 'upper'"),
         ("10.0", "0.1", "sample_time.* at least 10 samples.* 0.1 s"),
         ("10.0", "1e5", "sample_time.* at most 200,000 samples"),
-        ("10.0", "[9.0, 3.0]", "duration.* must be positive seconds, or .shortest, longest."),
+        ("10.0", "[9.0, 3.0]", "duration.* must be a positive number of seconds, or .short"),
         ("10.0", "nan", "duration: must be"),
         ("upper = 8.0", "upper = 8.0\nstart = 9.0", "inputs.F.start: must lie between lower"),
         ("upper = 8.0", "upper = 8.0\nrate = 0.0", "inputs.F.rate: must be greater than 0"),

@@ -68,7 +68,7 @@ def test_what_has_no_divisor_may_be_linear_to_its_end():
 )
 def test_a_divisor_of_nothing_is_refused(form, site, starts):
     starts = {name: DeclaredCoefficient(value) for name, value in starts.items()}
-    sentence = rf"effect '{form}': parameters\.\w+\.start: must not be 0, because {form} divides by"
+    sentence = rf"effect '{form}': parameters\.\w+\.start: is 0, but {form} divides by"
     with pytest.raises(ConfigError, match=sentence):
         declared(form, site, **starts)
 

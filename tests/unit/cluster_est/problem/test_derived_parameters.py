@@ -141,7 +141,7 @@ def test_a_formula_that_cannot_be_followed_is_refused(expressions, pattern):
     [({"fixed": True}, "fixed"), ({"per": "experiment"}, "per"), ({"scale": "log"}, "scale")],
 )
 def test_a_formula_says_all_of_a_value(changes, key):
-    with pytest.raises(ProblemError, match=rf"parameters\.c\.{key}: must be left out"):
+    with pytest.raises(ProblemError, match=rf"parameters\.c\.{key}: must not be used with expr"):
         Parameter("c", 1.0, expression="2 * k", **changes)
 
 

@@ -73,7 +73,7 @@ def test_what_was_added_is_named_in_any_case():
     path[1] = replace(path[1], accepted=True)
     likely = likely_structures(with_probabilities(path, 0.0))
     assert [each.effects for each in likely] == [("a",), ("b",)]
-    assert likely_sentence(with_probabilities(path, 0.0)).endswith("and b less than 1 %")
+    assert likely_sentence(with_probabilities(path, 0.0)).endswith("and less than 1 % for b")
 
 
 @pytest.mark.parametrize(
@@ -81,11 +81,11 @@ def test_what_was_added_is_named_in_any_case():
     [
         (
             [("a+x", -5000.0), ("b", -4984.0), ("c", -400.0)],
-            "4 sets of effects .* a + x 73 % of the probability and b 27 %",
+            "4 sets of effects .* the probability is 73 % for a + x and 27 % for b",
         ),
-        ([("a", -5000.0), ("c", -400.0)], "give a more than 99 % of the probability"),
-        ([("a", -NINE_TIMES + 1.0)], "% of the probability and no effect 11 %"),
-        ([("a", -5000.0), ("b", -5000.0)], "a 50 % of the probability and b 50 %"),
+        ([("a", -5000.0), ("c", -400.0)], "the probability is more than 99 % for a"),
+        ([("a", -NINE_TIMES + 1.0)], "% for a and 11 % for no effect"),
+        ([("a", -5000.0), ("b", -5000.0)], "50 % for a and 50 % for b"),
     ],
 )
 def test_sentences(path, said):
@@ -96,7 +96,7 @@ def test_sentences(path, said):
 def test_a_sentence_names_a_few():
     path = compared(*((f"e{i}", -5000.0) for i in range(30)))
     said = likely_sentence(with_probabilities(path, 0.0))
-    assert re.search(r"e3 3 % and 2[34] less probable sets$", said)
+    assert re.search(r"3 % for e3 and at most this much for each of 2[34] other sets$", said)
     assert "e4" not in said
 
 

@@ -265,7 +265,7 @@ def test_a_column_has_times_of_its_own_where_they_are_named():
         ({"skip_rows": 99}, "must have more lines than skip_rows, which is 99"),
         ({"decimal": "'"}, 'reading.decimal: must be "." or ","'),
         ({"long": ["a"]}, "reading.long: must be the names of two columns"),
-        ({"sheet": "A"}, "sheet: must be left out, because .* a csv file"),
+        ({"sheet": "A"}, "sheet: has no meaning for .* whose format is csv"),
         (3, "reading"),
     ],
 )
