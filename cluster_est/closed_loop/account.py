@@ -47,7 +47,11 @@ from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, co
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.selection.answer import undetermined_sentence
-from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
+from cluster_est.closed_loop.selection.rounds import (
+    ComparedStructure,
+    SelectionResult,
+    leaves_more_than_noise,
+)
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopScope
 from cluster_est.errors import ClusterEstError
@@ -63,6 +67,7 @@ from cluster_est.results.initial_errors import InitialError, initial_errors, ini
 from cluster_est.results.result import Result
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation
 from cluster_est.uncertainty import examine
+from workers.messages import FloatArray
 
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
@@ -71,8 +76,8 @@ STRAIGHT_STEPS = 3
 follows; its result is reported."""
 
 NOT_ALLOWED_FOR = (
-    "the confidence intervals account only for the noise, but the remaining error is larger than "
-    "the noise, so they are too narrow"
+    "the remaining error is larger than the noise, and the confidence intervals do not allow for "
+    "errors of the model, so they are too narrow"
 )
 
 
@@ -270,7 +275,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
         sites=scope.sites,
-        notes=(*notes, *_notes(fitter, judgement.verdict, kept, after)),
+        notes=(*notes, *_notes(fitter, judgement.verdict, kept, after, found.noise)),
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,
         evaluations=fitter.runner.evaluations,
@@ -380,12 +385,15 @@ def _notes(
     verdict: Verdict,
     fitted: FittedModel,
     after: Result,
+    noise: FloatArray,
 ) -> tuple[str, ...]:
     """Return the notes on shared arguments, unexplained residuals and the estimates."""
     notes = shared_arguments(fitted.added)
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
-        notes = (*notes, *begun, where_left(fitter, fitted), NOT_ALLOWED_FOR)
+        notes = (*notes, *begun)
+        if leaves_more_than_noise(fitted, fitter.noise_floor(noise)):
+            notes = (*notes, where_left(fitter, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))

@@ -27,6 +27,8 @@ from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
 from cluster_est.results.shapes.filter_responses import dynamics_in_words
+from workers.effects.laws import Law
+from workers.effects.site import bracketed
 from workers.messages import FloatArray
 
 LARGEST_DIFFERENCE = 10.0
@@ -312,8 +314,7 @@ def sentence_of(
 ) -> str:
     """Describe an effect that was found, in one or two sentences."""
     said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
-    told = [e for e in coefficients if e.estimated_on != "known"]  # for example a held width
-    values = [_value(candidate, e) for e in told if e.label == e.parameter]
+    values = [_value(candidate, e) for e in coefficients if e.label == e.parameter]
     values += [
         f"a value of {c.name} for each experiment" for c in candidate.form.coefficients if c.each
     ]
@@ -327,12 +328,14 @@ def sentence_of(
         said += f", with {in_a_row(values)}"
     if math.isfinite(period):
         said += f", a period of {readable_time(period)}"
+    said += _repeats(candidate, coefficients, curve)
     said += _reference(candidate, coefficients)
     seen = curve if curve is not None and len(curve.x) and curve.variable != "time" else None
     seen = None if candidate.form.is_dynamics else seen
     if seen is not None:
         own = candidate.site.kind == "output" and seen.variable == candidate.site.target
-        said += f"; {'before the effect,' if own else 'in the data,'} {_range(seen)}"
+        said += f"; {'without the effect' if own else 'in the data'}, {_range(seen)}"
+        said += _one_side_only(candidate, seen)
     return " ".join([f"{said}.", *(_agreement(each, seen) for each in also if seen is not None)])
 
 
@@ -349,9 +352,30 @@ def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> 
     at = next((e for e in coefficients if e.parameter == f"{candidate.effect.name}.at"), None)
     if candidate.site.kind != "parameter" or argument is None or at is None:
         return ""
-    named = argument.format(v=next(iter(candidate.effect.variables), ""))
+    variable = next(iter(candidate.effect.variables), "")
+    named = argument.format(v=bracketed(variable) if "^" in argument else variable)
     where = f"{named} = {at.value:.4g}{in_unit(at.unit)}"
-    return f"; the estimate of {candidate.site.target} applies at {where}"
+    return f"; at {where}, {candidate.site.target} has its estimated value"
+
+
+def _repeats(
+    candidate: EffectCandidate, coefficients: Sequence[Estimate], curve: EffectCurve | None
+) -> str:
+    """Say over which distance a term repeats that is periodic in its argument."""
+    law = candidate.form.law
+    n = next((e.value for e in coefficients if e.parameter == f"{candidate.effect.name}.n"), 0.0)
+    if law not in (Law.PERIODIC, Law.PERIODIC_ERROR) or not n > 0.0:
+        return ""
+    unit = in_unit(curve.variable_unit) if curve is not None else ""
+    return f", a period of {2.0 * math.pi / n:.4g}{unit}"
+
+
+def _one_side_only(candidate: EffectCandidate, curve: EffectCurve) -> str:
+    """Say if the data show only one side of a law that acts on both sides of zero."""
+    if candidate.form.law is not Law.SATURATION or curve.x[0] < 0.0 < curve.x[-1]:
+        return ""
+    other = "below" if curve.x[0] >= 0.0 else "above"
+    return f"; the data do not show whether there is a limit {other} zero"
 
 
 def _place(candidate: EffectCandidate) -> str:
@@ -363,13 +387,28 @@ def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
     value, low, high = estimate.value, estimate.lower95, estimate.upper95
     long = estimate.unit == "s" and abs(value) > LONG_TIME
-    number: Callable[[float], str] = readable_time if long else "{:.4g}".format
+    number: Callable[[float], str] = readable_time if long else f"{{:.{_digits(estimate)}g}}".format
     said = f"{name} = {number(value)}{'' if long else in_unit(estimate.unit)}"
+    if estimate.estimated_on == "known":
+        return f"{said} (fixed)"
     if estimate.at_bound:
         return f"{said} (at its {estimate.at_bound} bound)"
     if math.isfinite(low) and math.isfinite(high):
         return f"{said} ({number(low)} to {number(high)})"
     return f"{said} (not determined)"
+
+
+def _digits(estimate: Estimate) -> int:
+    """Return the significant digits with which an interval shows two digits of its half width."""
+    half = 0.5 * (estimate.upper95 - estimate.lower95)
+    if not (math.isfinite(half) and half > 0.0 and estimate.value):
+        return FEWEST_DIGITS
+    shown = math.floor(math.log10(abs(estimate.value))) - math.floor(math.log10(half)) + 2
+    return min(max(shown, FEWEST_DIGITS), MOST_DIGITS)
+
+
+FEWEST_DIGITS, MOST_DIGITS = 4, 8
+"""Smallest and largest number of significant digits of a value with an interval."""
 
 
 LONG_TIME = 120.0
@@ -383,7 +422,9 @@ def in_unit(unit: str) -> str:
 
 def _range(curve: EffectCurve) -> str:
     low, high = float(curve.x[0]), float(curve.x[-1])
-    return f"{curve.variable} went from {low:.3g} to {high:.3g}{in_unit(curve.variable_unit)}"
+    digits = 2 - math.floor(math.log10(high - low)) if high > low else 6
+    ends = [f"{round(end, digits) + 0.0:.6g}" for end in (low, high)]
+    return f"{curve.variable} is between {' and '.join(ends)}{in_unit(curve.variable_unit)}"
 
 
 def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:

@@ -242,7 +242,7 @@ def test_a_force_with_its_range():
     found = described("der(v)", "coulomb", "v", estimates=numbers, curve=curve)
     assert found.sentence == (
         "Coulomb friction at der(v): der(v) += -k * tanh(v / width), with k = 0.5 m/s2 "
-        "(0.48 to 0.52); in the data, v went from -0.6 to 0.6 m/s."
+        "(0.48 to 0.52) and width = 0.001 m/s (fixed); in the data, v is between -0.6 and 0.6 m/s."
     )
 
 
@@ -298,12 +298,46 @@ def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
 def test_a_parameter_that_varies_is_the_one_at_a_place(form, where):
     numbers = [estimate("n", 0.6), estimate("at", 0.12, "kg/s", on="known")]
     said = described("parameter UA", form, "m", estimates=numbers).sentence
-    assert said.endswith(f"; the estimate of UA applies at {where} kg/s.")
+    assert said.endswith(f"; at {where} kg/s, UA has its estimated value.")
 
 
 def test_what_has_no_such_place_says_none():
     numbers = [estimate("k", 0.6), estimate("at", 0.12, "m")]
-    assert "applies at" not in described("der(v)", "hinge", "x", estimates=numbers).sentence
+    assert "estimated value" not in described("der(v)", "hinge", "x", estimates=numbers).sentence
+
+
+def test_the_square_of_a_difference_is_in_brackets():
+    numbers = [estimate("at", 5.684e4, "K2", on="known")]
+    said = described("parameter C", "square", "a - b", estimates=numbers).sentence
+    assert said.endswith("; at (a - b)^2 = 5.684e+04 K2, C has its estimated value.")
+
+
+@pytest.mark.parametrize(
+    ("low", "said"),
+    [(0.07, "; the data do not show whether there is a limit below zero."), (-4.1, " V.")],
+)
+def test_a_saturation_says_which_side_the_data_show(low, said):
+    curve = seen(np.linspace(low, 4.462, 5), np.ones(5))
+    curve = replace(curve, variable="u", variable_unit="V")
+    numbers = [estimate("limit", 4.0, "V", error=0.01)]
+    found = described("input u", "saturation", "u", estimates=numbers, curve=curve)
+    assert f"in the data, u is between {low:.3g} and 4.46 V" in found.sentence
+    assert found.sentence.endswith(said)
+
+
+def test_a_periodic_error_says_after_which_distance_it_repeats():
+    numbers = [estimate("a", 0.3, "degC"), estimate("b", 0.1, "degC"), estimate("n", 2.0 * np.pi)]
+    curve = replace(seen(np.linspace(0.0, 9.0, 5), np.ones(5)), variable="y", variable_unit="degC")
+    said = described("output y", "periodic", "y", estimates=numbers, curve=curve).sentence
+    assert ", a period of 1 degC; without the effect, y is between 0 and 9 degC." in said
+
+
+@pytest.mark.parametrize(
+    ("error", "text"), [(0.3, "1350.42 W (1349.82 to 1351.02)"), (30.0, "1350 W (1290 to 1410)")]
+)
+def test_the_digits_of_a_value_follow_from_its_interval(error, text):
+    numbers = [estimate("k", 1350.42, "W", error=error)]
+    assert text in described("der(v)", "square", "v", estimates=numbers).sentence
 
 
 def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
