@@ -253,9 +253,9 @@ def _disagreements(plan: list[PlannedRun]) -> dict[str, list[str]]:
         known = first.setdefault(executor, planned)
         if planned.cluster != known.cluster:
             problem = (
-                f'executor: all runs with "{executor}" share the executor, so workers and address '
-                f"must be the same, but they differ from those of {known.run.name}; set them in "
-                "[overrides]"
+                f'executor: workers and address must be the same in all runs with "{executor}" '
+                "(the runs share the executor), but they differ from those of "
+                f"{known.run.name}; set them in [overrides]"
             )
             wrong[problem].append(planned.run.name)
     return wrong
