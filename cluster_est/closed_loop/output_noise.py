@@ -220,7 +220,7 @@ def _of_output(
     rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
     if not rms > 0.0:
         return None
-    white = noise if noise > 0.0 else 0.0
+    white = min(noise, rms) if noise > 0.0 else 0.0  # the white part is not more than the whole
     unit = 1.0 if declared else white
     partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
     most = max(FIRST_ORDER, 3.3 / np.sqrt(len(part)))
