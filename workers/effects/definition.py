@@ -439,6 +439,8 @@ def _fill(template: str, units: Mapping[str, str]) -> str:
         return top
     if bottom in (top, f"({top})"):
         return "1"
+    if "?" not in bottom and top.startswith(f"{bottom}/"):  # for example "V/s" over "V"
+        return f"1{top.removeprefix(bottom)}"
     return _per_second(top) if bottom == "s" else f"{top}/{bottom}"
 
 

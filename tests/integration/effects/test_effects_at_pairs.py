@@ -167,7 +167,7 @@ def test_commas_within_brackets_belong_to_a_name():
 @pytest.mark.parametrize(
     ("site", "form", "variables", "units"),
     [
-        ("pair v_body,v_wheel", "gap", TRAVEL, ("m/s^2/m", "m/s^2/m", "m")),
+        ("pair v_body,v_wheel", "gap", TRAVEL, ("1/s^2", "1/s^2", "m")),
         ("pair z_body,v_wheel", "coulomb", ("road",), ("m/s", "m/s^2", "m")),
         ("pair v_body,v_wheel", "table", TRAVEL, (*["m/s^2"] * 7, "1", "m", "m")),
         ("der(v_body)", "quadratic", (), ("m/s^2/(m/s)^2",)),
