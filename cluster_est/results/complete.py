@@ -18,7 +18,7 @@ from cluster_est.results.result import Result
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation, suited, with_priors
 from cluster_est.running.sizes import with_sizes
-from cluster_est.uncertainty import Uncertainty, assess
+from cluster_est.uncertainty import Uncertainty, assess, assess_held_out
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
@@ -90,8 +90,10 @@ def complete(
     estimates = tables.estimates(train, solution, "train", units, uncertainty.intervals)
     estimates += tables.fixed(problem, units) + tables.derived(train, solution, units, uncertainty)
     if test_solution is not None:
-        own = test_solution
-        found = steps.assessed(test, own, lambda: assess(test, own)).intervals
+        own, trained = test_solution, (train, solution, uncertainty)
+        found = steps.assessed(
+            test, own, lambda: assess_held_out(runner, (test, own), trained)
+        ).intervals
         estimates += tables.estimates(test, own, "test", units, found)
     estimates = [
         replace(each, description=variables[each.variable].description)

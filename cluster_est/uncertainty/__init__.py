@@ -15,7 +15,12 @@ from cluster_est.uncertainty.bootstrap import (
     check_bootstrap,
 )
 from cluster_est.uncertainty.covariance.covariance import assess, intervals, not_assessed
-from cluster_est.uncertainty.covariance.derivatives import examine, linearise, sharpen
+from cluster_est.uncertainty.covariance.derivatives import (
+    assess_held_out,
+    examine,
+    linearise,
+    sharpen,
+)
 from cluster_est.uncertainty.covariance.local_uncertainty import (
     ConfidenceInterval,
     DerivedInterval,
@@ -47,6 +52,7 @@ __all__ = [
     "UncertaintySettings",
     "UndeterminedDirection",
     "assess",
+    "assess_held_out",
     "bootstrap",
     "check_bootstrap",
     "check_posterior",

@@ -12,7 +12,7 @@ from typing_extensions import override
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.differences import jacobian, relative_noise
 from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
-from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.accuracy import relative_sizes
@@ -25,7 +25,7 @@ from cluster_est.uncertainty.covariance.normal_equations import (
 )
 from cluster_est.uncertainty.covariance.system import ROUNDING_OF_DIRECTION, ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import with_start
-from workers.messages import FloatArray
+from workers.messages import FloatArray, IntArray
 
 LEAST_STEP, LARGEST_STEP = 1e-3, 3e-2
 SUSPECT = 1e-2
@@ -64,6 +64,108 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
         "simulations close to the solution failed or bounds excluded them"
     )
     return replace(found, notes=(*found.notes, note))
+
+
+def assess_held_out(
+    runner: Runner,
+    test: tuple[SearchSpace, Solution],
+    train: tuple[SearchSpace, Solution, Uncertainty],
+) -> Uncertainty:
+    """Return the uncertainty of the unknowns that belong to held-out experiments alone.
+
+    These unknowns y are fitted with the shared unknowns x fixed at their estimates from the
+    training experiments. With the derivatives A and B of the held-out residuals with respect to x
+    and y, an error dx changes the fit by dy = -B^+ A dx. So B^+ A C A' B^+' is added to the
+    covariance from the held-out noise, where C is the covariance of x. The half widths of both
+    intervals are added as squares, because their degrees of freedom differ.
+
+    Parameters
+    ----------
+    runner
+        Runs the simulations for A and B.
+    test, train
+        The search space and the solution of the held-out and of the training experiments, and the
+        uncertainty of the latter.
+    """
+    space, solution = test
+    found = assess(space, solution)
+    shared, response = _response_to_shared(runner, test, train)
+    if not len(shared):
+        return found
+    fixed, x, trained = train
+    errors, halves = _in_search_coordinates(fixed, x.x, trained)
+    position = [trained.shared.index(fixed.unknowns[i].label) for i in shared]
+    correlations = trained.correlations[np.ix_(position, position)]
+    own_errors, own_halves = _in_search_coordinates(space, solution.x, found)
+    intervals = []
+    for i, known in enumerate(found.intervals):
+        more = [
+            float(np.sqrt(max(part @ correlations @ part, 0.0)))
+            for part in (response[i] * errors[shared], response[i] * halves[shared])
+        ]
+        error, half = np.hypot(own_errors[i], more[0]), np.hypot(own_halves[i], more[1])
+        unknown, at = space.unknowns[i], float(solution.x[i])
+        intervals.append(
+            replace(
+                known,
+                std_error=error * (unknown.to_physical(at) if unknown.log else 1.0),
+                lower95=unknown.to_physical(at - half),
+                upper95=unknown.to_physical(at + half),
+                error_white=np.nan,
+                error_autoregression=np.nan,
+                error_experiments=np.nan,
+                error_uniform=np.nan,
+            )
+        )
+    return replace(found, intervals=tuple(intervals))
+
+
+def _response_to_shared(
+    runner: Runner,
+    test: tuple[SearchSpace, Solution],
+    train: tuple[SearchSpace, Solution, Uncertainty],
+) -> tuple[IntArray, FloatArray]:
+    """Return the shared unknowns of the training space, and -B^+ A (own, shared) in the test space.
+
+    Unknowns without a known error, such as those at a bound, are left out.
+    """
+    (space, solution), (fixed, known, trained) = test, train
+    values = fixed.estimates(known.x) | space.estimates(solution.x)
+    joint = make_space(space.problem, space.experiments, starts=values)
+    labels = [unknown.label for unknown in joint.unknowns]
+    shared = [
+        i
+        for i, (unknown, interval) in enumerate(zip(fixed.unknowns, trained.intervals, strict=True))
+        if unknown.label in labels
+        and unknown.label in trained.shared
+        and np.isfinite(interval.std_error)
+    ]
+    chosen = np.array(shared, np.intp)
+    at_start = Solution(joint.start, 0.0, Ending.CONVERGED)
+    found = linearise(runner, joint, at_start) if shared else at_start
+    matrix = jacobian_blocks(joint, found) if has_jacobian(found) else None
+    if matrix is None:
+        return chosen[:0], np.zeros((space.size, 0))
+    dense = matrix.dense()
+    own = dense[:, [labels.index(unknown.label) for unknown in space.unknowns]]
+    others = dense[:, [labels.index(fixed.unknowns[i].label) for i in shared]]
+    sizes = np.linalg.norm(own, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    response = -np.linalg.lstsq(own / sizes, others, rcond=1e-8)[0] / sizes[:, None]
+    return chosen, response
+
+
+def _in_search_coordinates(
+    space: SearchSpace, x: FloatArray, found: Uncertainty
+) -> tuple[FloatArray, FloatArray]:
+    """Return the standard error and the half width of the interval of each unknown."""
+    errors, halves = np.full(space.size, np.nan), np.full(space.size, np.nan)
+    for i, (unknown, interval) in enumerate(zip(space.unknowns, found.intervals, strict=True)):
+        unit = unknown.to_physical(float(x[i])) if unknown.log else 1.0
+        errors[i] = interval.std_error / unit
+        if np.isfinite(interval.upper95):
+            halves[i] = unknown.to_search(interval.upper95) - float(x[i])
+    return errors, halves
 
 
 def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solution:
