@@ -385,7 +385,7 @@ def _notes(
     after: Result,
 ) -> tuple[str, ...]:
     """Return the notes on shared arguments, unexplained residuals and the estimates."""
-    notes = (*shared_arguments(fitted.added), *_of_ramps(fitter, fitted.added))
+    notes = (*shared_arguments(fitted.added), *like_ramps(fitter, fitted.added))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun, where_left(fitter, fitted), NOT_ALLOWED_FOR)
@@ -398,7 +398,7 @@ LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
 """Forms at an input that linear interpolation of jumps can imitate."""
 
 
-def _of_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:
+def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:
     """Say which effects may come from the linear interpolation of an input that jumps."""
     found = [c for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS]
     jumping = jumping_inputs(fitter.runs, fitter.description.holds) if found else {}
