@@ -207,7 +207,7 @@ def _judged(
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
     missing = f"{base.missing}, and {_nothing(found)}"
     best = "the best effects" if several else "the best effect"
-    little = _little(training, predicted, several=several)
+    little = _little(training, predicted, most, several=several)
     reason = f"{missing}: {best} {little}{_more_effects(found)}"
     return ReasonedVerdict(Verdict.UNEXPLAINED, reason, closed)
 
@@ -231,14 +231,15 @@ def _more_effects(found: SelectionResult) -> str:
     return f"; to try more effects, set closed_loop.max_effects = {most + 1} or more"
 
 
-def _little(training: float, predicted: float, *, several: bool) -> str:
+def _little(training: float, predicted: float, most: float, *, several: bool) -> str:
     """Say how little of the gap the best effects would remove, and where."""
     if predicted < 0.0:
         return f"{'predict' if several else 'predicts'} {WORSE}"
+    needed = f" (more than {most:.0%} is needed)"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         said = f"would remove only {predicted:.0%} of {EXCESS} in {CROSS_VALIDATION}"
-        return f"{said}, and {training:.0%} in the fit"
-    return f"would remove only {training:.0%} of {EXCESS}"
+        return f"{said}, and {training:.0%} in the fit{needed}"
+    return f"would remove only {training:.0%} of {EXCESS}{needed}"
 
 
 def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
@@ -314,9 +315,9 @@ def _coloured(found: SelectionResult, now: _Residual) -> str:
 def _p(found: SelectionResult, p: float) -> str:
     """Give a family-wise p-value and its limit."""
     count = found.last.screening.count
-    among = f", corrected for {count} candidate{'' if count == 1 else 's'}" if count else ""
+    among = f" after correction for {count} candidate{'' if count == 1 else 's'}" if count else ""
     limit = f"limit: closed_loop.significance = {found.settings.significance:g}"
-    return f"(p = {p:.2g}{among}; {limit})"
+    return f"(p = {p:.2g}{among}, {limit})"
 
 
 def _autocorrelated(residual: _Residual) -> str:

@@ -130,7 +130,8 @@ CASES = {
     "the search ended with as many effects as it may add": (
         Case(9.0, 6.0, RejectionReason.LIMIT_OF_EFFECTS, STRUCTURED), Verdict.UNEXPLAINED,
         "no combination of up to 3 effects in the library explains the remaining error: the best "
-        "effect would remove only 38% of the squared error above the noise; to try more effects, "
+        "effect would remove only 38% of the squared error above the noise (more than 75% is "
+        "needed); to try more effects, "
         "set closed_loop.max_effects = 4 or more"),
     "a free curve explains it": (
         Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.FOUND, "with a free curve"),
