@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.claim_evidence import doubted, how_sure, with_claims
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
@@ -59,6 +60,7 @@ from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.tables.jumps import jumping_inputs
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.fit_tables import EffectCurve
@@ -228,7 +230,8 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     curves: tuple[EffectCurve, ...] = ()
     competing: tuple[CompetingModel, ...] = ()
     choices = None
-    judgement, doubts = doubted(judgement, kept.structure, before, after)
+    labels = {c.effect.name: c.label for c in kept.added}
+    judgement, doubts = doubted(judgement, labels, before, after)
     if keep:
         shapes = "the shapes of the effects"
         curves = steps.do(shapes, lambda: effect_curves(fitter, kept, grown), ())
@@ -361,7 +364,7 @@ def _disturbance(
     if begun:
         return (f"{begun[0].sentence}; correct the initial state first",)
     said = (
-        "if the remaining error comes from an unmeasured disturbance, this disturbance causes "
+        "the cause may also be an unmeasured disturbance; it would have to change "
         f"{unexplained[0].sentence}"
     )
     return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
@@ -388,7 +391,7 @@ def _notes(
     noise: FloatArray,
 ) -> tuple[str, ...]:
     """Return the notes on shared arguments, unexplained residuals and the estimates."""
-    notes = shared_arguments(fitted.added)
+    notes = (*shared_arguments(fitted.added), *like_ramps(fitter, fitted.added))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun)
@@ -397,6 +400,23 @@ def _notes(
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))
+
+
+LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
+"""Forms at an input that linear interpolation of jumps can imitate."""
+
+
+def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:
+    """Say which effects may come from the linear interpolation of an input that jumps."""
+    found = [c for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS]
+    jumping = jumping_inputs(fitter.runs, fitter.description.holds) if found else {}
+    return tuple(
+        f"{c.label} may come in part from the linear interpolation of input {c.site.target}, which "
+        "turns jumps into ramps: if the real input keeps each value until the next sample, set "
+        'interpolation = "hold" for this input and run again before you rely on this effect'
+        for c in found
+        if c.site.target in jumping
+    )
 
 
 def _of_many_rows(count: int) -> LeastSquares:

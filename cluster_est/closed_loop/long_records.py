@@ -26,6 +26,7 @@ from cluster_est.closed_loop.outliers import (
     Place,
     fit_from_start,
     open_checked_workbench,
+    outlier_notes,
     outliers_of_long_records,
     without,
 )
@@ -83,7 +84,7 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
     resources = request.environment.resources
     for found, corrected in ways_to_thin(whole, most, resources, None if outliers else first):
         if corrected is not None:
-            said = [each.sentence for each in outliers]
+            said = outlier_notes(outliers)
             return replace(corrected, whole=whole, sentence="; ".join([found.sentence, *said]))
     return thinned(request.problem, None)
 

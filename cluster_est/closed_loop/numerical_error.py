@@ -137,16 +137,13 @@ class NumericalError:
             return (*self.beside, cannot)
         if self.hides_effects:
             why = f"the search looked for no effects, because {self._said}"
-            return (*self.beside, f"{why}; {self._advice} makes this error negligible")
+            return (*self.beside, f"{why}; {self._remedy}")
         if self.ratio > NUMERICAL_ERROR.small:
-            said = (
-                f"{self._said}; the search refuses an effect that explains no more than this "
-                "error could explain"
-            )
-            return (*self.beside, f"{said}; {self._advice} makes this error negligible")
+            return (*self.beside, f"{self._said}; {MAY_BE_MISSED}; {self._remedy}")
         if self.scale.rtol > NUMERICAL_ERROR.loose:
             said = f"{self._said}, which is negligible here"
-            return (*self.beside, f"{said}; {self._advice} keeps it negligible in other cases too")
+            keep = f"set {self._advice} to keep it negligible in other cases too"
+            return (*self.beside, f"{said}; {keep}")
         return self.beside
 
     @property
@@ -154,14 +151,11 @@ class NumericalError:
         """Notes on the error of a model with effects; none if the error is small."""
         if not self.ratio > NUMERICAL_ERROR.small:
             return ()
-        refused = (
-            "the search refuses a further effect that explains no more than this error could "
-            "explain"
-        )
-        return (
-            f"with the effects, {self._said}; {refused}; {self._advice} makes this error "
-            "negligible",
-        )
+        return (f"in the model with effects, {self._said}; {MAY_BE_MISSED}; {self._remedy}",)
+
+    @property
+    def _remedy(self) -> str:
+        return f"set {self._advice}, which makes this error negligible, and run again"
 
     @property
     def _said(self) -> str:
@@ -171,8 +165,7 @@ class NumericalError:
         size = f"{figure} times the noise"
         if not np.isfinite(self.ratio):  # there is no noise
             size = f"{self.rms[largest] / self.residual[largest]:.2g} times the remaining residual"
-        how = "" if np.isnan(self.order) else f"; convergence order {self.order:.2g}"
-        return f"{self.scale.name} causes an error of {size} (at {output}{how})"
+        return f"{self.scale.name} causes an error of {size} in output {output}"
 
     @property
     def _advice(self) -> str:
@@ -181,6 +174,12 @@ class NumericalError:
         if not self.scale.step:  # never advise a tolerance looser than usual
             factor = max(factor, self.scale.rtol / NUMERICAL_ERROR.loose)
         return self.scale.advice(factor, self.order)
+
+
+MAY_BE_MISSED = (
+    "an effect that improves the fit by no more than this error could is not accepted, so small "
+    "effects may be missed"
+)
 
 
 def observed_order(first: FloatArray, second: FloatArray, ratio: float) -> float:

@@ -82,7 +82,7 @@ class OutliersOfOutput:
 
     @property
     def sentence(self) -> str:
-        """The number and size of the outliers, and whether they were left out, as a sentence."""
+        """The number and size of the outliers as a part of a sentence; as a note if many."""
         largest = max(each.largest for each in self.found.values())
         held = "held-out " if self.held_out else ""
         of = f"{100.0 * self.count / self.samples:.2g} % of the {held}samples of {self.output}"
@@ -93,11 +93,19 @@ class OutliersOfOutput:
                 "the noise; these are too many to be sensor faults, so all samples were kept; look "
                 "at the signal"
             )
-        left_out_of = "errors and tables" if self.held_out else "fits, errors and tables"
+        kind = "held-out" if self.held_out else "training"
         return (
-            f"{of} are outliers ({counted}): they differ from all their neighbours by up to "
-            f"{largest:.0f} times the noise and were left out of {left_out_of}"
+            f"{self.output} {self.count:,} of {self.samples:,} {kind} samples (up to "
+            f"{largest:.0f} times the noise away from their neighbours)"
         )
+
+
+def outlier_notes(outliers: Sequence[OutliersOfOutput]) -> tuple[str, ...]:
+    """Return a note on the samples that were left out, and one on each output with too many."""
+    few = [each.sentence for each in outliers if each.few]
+    left_out = "outliers were left out of fits, errors and tables: "
+    many = (each.sentence for each in outliers if not each.few)
+    return (*([left_out + in_a_row(few)] if few else []), *many)
 
 
 def fit_from_start(fitter: Fitter) -> FittedModel | None:
@@ -128,7 +136,7 @@ def open_checked_workbench(
         fitter = workbench.fitter
         fitted = fit(fitter)
         outliers = [] if fitted is None else _outliers(fitter, fitted, thinned)
-        notes = [each.sentence for each in outliers]
+        notes = list(outlier_notes(outliers))
         few = [each for each in outliers if each.few]
         growing: tuple[GrowingNoise, ...] = ()
         if fitted is not None:
@@ -206,10 +214,12 @@ def left_out_sentence(left_out: Mapping[str, Mapping[str, Sequence[float]]]) -> 
     ]
     count = sum(len(times) for outputs in left_out.values() for times in outputs.values())
     if count <= MOST_WRITTEN:
-        return (f"for a fit to the same samples, add {in_a_row(keys)}",)
+        return (f"to leave out the same samples in cluster-est fit, add {in_a_row(keys)}",)
+    output = next(output for outputs in left_out.values() for output in outputs)
     return (
-        "for a fit to the same samples, add the key left_out to the experiments, with the times in "
-        "left_out of run.json",
+        "to leave out the same samples in cluster-est fit, copy their times from left_out in "
+        f"run.json to the experiments in the config, for example {dotted('left_out', output)} = "
+        "[TIMES]",
     )
 
 

@@ -282,13 +282,14 @@ def is_noise_of_sensors(
 
 def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     """Say which declared sigmas the data contradict; "" if none."""
-    small = {o.named: o.white for o in outputs if o.sigma_too_small and not o.loud and o.told}
+    noise = {o.named: o.white for o in outputs if o.sigma_too_small and o.told}
+    small = {o.named: noise[o.named] for o in outputs if o.named in noise and not o.loud}
     large = {o.named: o.level for o in outputs if o.sigma_too_large}
     short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > NOISY}
     said = [
-        f"over all experiments, {small_sigma(o.named, [o.white])} in {', '.join(map(repr, o.loud))}"
+        f"over all experiments, {small_sigma(o.named, [noise[o.named]], o.loud)}"
         for o in outputs
-        if o.sigma_too_small and o.loud and o.told
+        if o.named in noise and o.loud
     ]
     if short:
         said.append(

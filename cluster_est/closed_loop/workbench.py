@@ -338,7 +338,12 @@ def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
         )
     if problem.model.interface == "co_simulation":
         notes.append(
-            "in co-simulation, state derivatives are not accessible, so an effect inside the model "
-            "can only be found at an input, an output or a parameter"
+            "in co-simulation, state derivatives are not accessible, so effects are searched only "
+            "at inputs, outputs and parameters"
+            + (
+                '; to search the state equations too, set model.interface = "model_exchange"'
+                if "model_exchange" in description.interfaces
+                else ""
+            )
         )
     return tuple(notes)

@@ -154,7 +154,9 @@ def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFindi
     """Return a finding for each input that jumps and is interpolated linearly."""
     return [
         note("jumps", said, remedy)
-        for said, remedy in jump_findings(problem.experiments, description.holds, problem.columns)
+        for said, remedy in jump_findings(
+            problem.experiments, description.holds, problem.columns, description.unit_of
+        )
     ]
 
 

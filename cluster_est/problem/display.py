@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 MOST_PRINTED_ROWS = 50
 """Largest number of printed rows of a table; the number of further rows follows it."""
 
+LARGEST_PLAIN = 1e7
+"""Numbers of this size or above are written with an exponent."""
+
 _CELL = "text-align:left;padding:0.15em 0.8em 0.15em 0"
 
 
@@ -117,6 +120,13 @@ def percent(probability: float) -> str:
     if probability > 0.99:
         return "more than 99 %"
     return "less than 1 %" if probability < 0.01 else f"{100.0 * probability:.0f} %"
+
+
+def plain_number(value: float, digits: int = 4) -> str:
+    """Return a number with some digits; large numbers without an exponent, such as 1830."""
+    if abs(value) < 10.0**digits or abs(value) >= LARGEST_PLAIN:
+        return f"{value:.{digits}g}"
+    return f"{value:.0f}"
 
 
 def in_a_row(words: Sequence[str]) -> str:

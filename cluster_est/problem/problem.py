@@ -199,7 +199,10 @@ class Problem:
             As `describe`, or if the FMU cannot be simulated at the experiments' times.
         """
         jumps = jump_findings(
-            self.experiments, lambda name: self.describe().holds(name), self.columns
+            self.experiments,
+            lambda name: self.describe().holds(name),
+            self.columns,
+            lambda name: self.describe().unit_of(name),
         )
         return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in jumps))
 

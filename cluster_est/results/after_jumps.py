@@ -78,7 +78,7 @@ def _sentence(problem: Problem, name: str, place: _Place, output: str) -> str:
     return (
         f"the error of {output} is largest just after jumps of input {name}: it is "
         f"{place.size:.2g} times the error elsewhere at {place.time:.6g} s in experiment "
-        f"{place.experiment}, after the jump at {place.jump:.6g} s. Linear interpolation turns "
+        f"{place.experiment!r}, after the jump at {place.jump:.6g} s. Linear interpolation turns "
         "this jump into a ramp; if the input keeps each value until the next sample, set "
         f"{interpolated(name, problem.columns, 'hold')}"
     )

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from cluster_est.problem.display import in_a_row
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import process_noise_notes, vanished_noise
 from cluster_est.problem.variables import silent_notes
@@ -196,14 +197,21 @@ def _over_noise(output: OutputDiagnostics) -> float:
 
 def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
     """Return a note on values fitted to held-out data, whose errors are not pure predictions."""
-    labels = [each.label for each in estimates if each.estimated_on == "test"]
-    if not labels:
+    fitted = [each for each in estimates if each.estimated_on == "test"]
+    if not fitted:
         return ()
-    named = ", ".join(labels[:MOST_NAMED_VALUES])
-    if len(labels) > MOST_NAMED_VALUES:
-        named += f" and {len(labels) - MOST_NAMED_VALUES} more"
-    which = "this value" if len(labels) == 1 else "these values"
+    names = list(dict.fromkeys(each.parameter for each in fitted))
+    scopes = list(dict.fromkeys(repr(e.scope) for e in fitted if e.label != e.parameter))
+    one = len(fitted) == 1
+    of = f" (value{'' if one else 's'} for {_first(scopes)})" if scopes else ""
+    were, they = ("was", "it") if one else ("were", "them")
     return (
-        f"{named}: fitted to the held-out data, because no training experiment has {which}; the "
-        "held-out errors are therefore not pure predictions",
+        f"{_first(names)}{of} {were} fitted to the held-out data, because no training experiment "
+        f"uses {they}; the held-out errors are therefore not pure predictions",
     )
+
+
+def _first(names: Sequence[str]) -> str:
+    """Return the first names of a list and the number of the others."""
+    more = len(names) - MOST_NAMED_VALUES
+    return in_a_row(list(names) if more <= 0 else [*names[:MOST_NAMED_VALUES], f"{more} more"])

@@ -99,7 +99,7 @@ class PreferredInterpolation:
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
         return (
             f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
-            f"{100.0 * self.fall:.2g} %, most of it in experiment {self.experiment}{after} (the "
+            f"{100.0 * self.fall:.2g} %, most of it in experiment {self.experiment!r}{after} (the "
             f"best mixture has {self.share:.2f} +- {self.error:.2g}, where 0 is the interpolation "
             f"of this fit and 1 the other one); set {self.key} and fit again"
         )

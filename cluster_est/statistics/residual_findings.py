@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -214,11 +214,17 @@ def autocorrelated(lag1: float, length: float = np.nan) -> str:
     return f"autocorrelated over about {length:.0f} samples (lag 1: {lag1:.2g})"
 
 
-def small_sigma(named: str, noise: Collection[float]) -> str:
-    """Return a sentence on outputs with noise far above sigma; `noise` is in units of sigma."""
+def small_sigma(named: str, noise: Collection[float], experiments: Sequence[str] = ()) -> str:
+    """Return a sentence on outputs with noise far above sigma; `noise` is in units of sigma.
+
+    `experiments` are those whose sigma is too small; by default all.
+    """
+    do = f"multiply it by {from_to(noise)} (key sigma in the experiments)"
+    if experiments:
+        do = f"correct it in {', '.join(map(repr, experiments))}"
     return (
-        f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma, so the "
-        f"declared sigma is probably {from_to(noise)} times too small; correct it"
+        f"{named}: the noise is about {from_to(noise)} times the declared sigma, so the declared "
+        f"sigma is probably too small; {do} and run again"
     )
 
 

@@ -136,6 +136,11 @@ class ModelDescription:
         variable = self.variables.get(name)
         return variable is not None and not variable.is_continuous
 
+    def unit_of(self, name: str) -> str:
+        """Return the unit of a variable; "" if the FMU has no such variable."""
+        variable = self.variables.get(name)
+        return "" if variable is None else variable.unit
+
     def inputs(self) -> list[ModelVariable]:
         """Return the inputs, without aliases."""
         inputs = (v for v in self.variables.values() if v.causality == "input")

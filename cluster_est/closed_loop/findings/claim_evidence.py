@@ -9,12 +9,12 @@ a line. If a fit ended far from its minimum, its intervals cannot be used to jud
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.claims import ClaimEvidence, claim, lead
+from cluster_est.closed_loop.findings.claims import CLAIMED, ClaimEvidence, claim, lead
 from cluster_est.closed_loop.findings.effects import (
     AlternativeEffect,
     ErrorChange,
@@ -26,11 +26,13 @@ from cluster_est.closed_loop.findings.effects import (
 )
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
-from cluster_est.problem.display import in_a_row, percent
+from cluster_est.problem.display import in_a_row, percent, plain_number
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.result import Result
 from workers.effects.kinds import FREE_FAMILIES
 from workers.messages import Role
+
+DECLARED = "the declared model"
 
 MOST_NAMED = 3
 """Largest number of alternatives that the sentence on a lead names."""
@@ -99,10 +101,12 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
     if not known:
         return ""
     if not claimed:
-        label = " and ".join(label for label, _ in known)
+        guess = in_a_row([_explained(effect) for effect in effects if effect.claim is not None])
+        each_of = "for each effect, " if len(known) > 1 else ""
         others = [f"{each.words} at {each.site}" for e in effects for each in elsewhere(e)]
-        instead = f"; the data do not distinguish it from {in_a_row(others)}" if others else ""
-        return f"{label}: {known[0][1].sentence}{instead}"
+        it = "them" if len(known) > 1 else "it"
+        instead = f"; the data do not distinguish {it} from {in_a_row(others)}" if others else ""
+        return f"best guess: {guess}: {each_of}{known[0][1].sentence}{instead}"
     said = [
         f"{label} {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
         for label, own in known
@@ -111,8 +115,17 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
     leads = [label for label, own in known if not own.claimed]
     if not leads:
         return text
-    what = "a lead, not a claim" if len(leads) == 1 else "leads, not claims"
-    return f"{text}; {in_a_row(leads)}: {what}"
+    it = "it" if len(leads) == 1 else "them"
+    return (
+        f"{text}; below {percent(CLAIMED)}, an effect is only a lead: check {in_a_row(leads)} by a "
+        f"test or an inspection before you rely on {it}"
+    )
+
+
+def _explained(effect: NamedEffect) -> str:
+    """Return the label of an effect, with its words and its equation."""
+    meaning = ": ".join(filter(None, (effect.words, effect.equation)))
+    return f"{effect.label} ({meaning})" if meaning else effect.label
 
 
 def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:
@@ -136,7 +149,7 @@ def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tup
 
 
 def doubted(
-    judged: ReasonedVerdict, added: Collection[str], before: Result, after: Result
+    judged: ReasonedVerdict, added: Mapping[str, str], before: Result, after: Result
 ) -> tuple[ReasonedVerdict, tuple[str, ...]]:
     """Report the doubts that the last fit raises, and lower a verdict "found" to "partial".
 
@@ -145,15 +158,16 @@ def doubted(
     judged
         The verdict so far.
     added
-        Names of the claimed effects. Without any, the verdict stays as it is.
+        Labels of the claimed effects, by name. Without any, the verdict stays as it is.
     before, after
         Last fits of the declared model and of the model with the effects.
 
     Returns
     -------
     ReasonedVerdict, sentences
+        The verdict, and the doubts that its reason does not contain.
     """
-    fits = {"the declared model": before}
+    fits = {DECLARED: before}
     if added:
         fits["the model with the effects"] = after
     slow = {model: _not_converged(model, fit) for model, fit in fits.items() if not fit.success}
@@ -161,18 +175,25 @@ def doubted(
         return judged, tuple(slow.values())
     far = [] if _at_its_minimum(after) else [slow["the model with the effects"]]
     said = (*_at_bounds(added, after), *far)
+    told: tuple[str, ...] = ()
     if said and judged.verdict is Verdict.FOUND:
         reason = "; ".join([judged.reason, *said])
-        judged = replace(judged, verdict=Verdict.PARTIAL, reason=reason)
-    return judged, tuple(dict.fromkeys([*slow.values(), *said]))
+        judged, told = replace(judged, verdict=Verdict.PARTIAL, reason=reason), said
+    doubts = dict.fromkeys([*slow.values(), *said])
+    return judged, tuple(each for each in doubts if each not in told)
 
 
-def _at_bounds(added: Collection[str], after: Result) -> list[str]:
+def _at_bounds(added: Mapping[str, str], after: Result) -> list[str]:
     """Say which declared parameters and which coefficients of effects are at a bound."""
     names = tuple(f"{name}." for name in added)
     at_bound = [each for each in after.estimates if each.at_bound]
-    own = [_held(each) for each in at_bound if each.label.startswith(names)]
-    declared = [_held(each) for each in at_bound if not each.label.startswith(names)]
+    own = [
+        _held(each, f"{each.label.removeprefix(f'{name}.')} of {label}")
+        for each in at_bound
+        for name, label in added.items()
+        if each.label.startswith(f"{name}.")
+    ]
+    declared = [_held(each, each.label) for each in at_bound if not each.label.startswith(names)]
     said = []
     if declared:
         said.append(
@@ -181,8 +202,10 @@ def _at_bounds(added: Collection[str], after: Result) -> list[str]:
         )
     if own:
         said.append(
-            f"the fit ends with {in_a_row(own)}: at the end of its range, a law behaves like a "
-            "part of another law, so the name of the effect is in doubt"
+            f"the fit ends with {in_a_row(own)}: with a coefficient at a bound, another kind of "
+            "effect may fit equally well (a saturation far above the data is a straight line), so "
+            "the kind of this effect is uncertain; compare the other sets of effects in "
+            "structures.parquet"
         )
     return said
 
@@ -205,14 +228,17 @@ def _at_its_minimum(fit: Result) -> bool:
     return bool(degrees > 0 and fall <= residuals @ residuals / degrees)
 
 
-def _held(each: Estimate) -> str:
-    return f"{each.label} at its {each.at_bound} bound, {each.value:.6g} {each.unit}".rstrip()
+def _held(each: Estimate, named: str) -> str:
+    number = plain_number(each.value)
+    return f"{named} at its {each.at_bound} bound, {number} {each.unit}".rstrip()
 
 
 def _not_converged(model: str, fit: Result) -> str:
     """Say that a fit did not converge, so that its values are not the best ones."""
     why = str(fit.solution.ending).partition(";")[0]
+    block = "" if model == DECLARED else ", with the [[effects]] block in the config"
     return (
-        f"the last fit of {model} did not converge ({why}): the values, intervals and errors are "
-        "those of the last point that the fit reached"
+        f"the last fit of {model} did not converge ({why}): its values, intervals and errors are "
+        "those of the last point that the fit reached, so they are approximate; "
+        f"to fit it again, run cluster-est fit{block}"
     )

@@ -237,9 +237,12 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
 def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Claim:
     """Return how sure an effect is that closes too little of the gap to be claimed."""
     right, place = known.leads, known.lead_places
+    few = " (a small number)" if right.of < FEW else ""
+    were = "was" if right.right == 1 else "were"
     said = (
-        f"this is a lead, not a claim: {_of_alike(right, 'leads', 'right in place and kind')}, and "
-        f"{place.right} at least in place"
+        f"this is a lead, not a claim: of {right.of} leads in the benchmark{few}, in which the "
+        f"missing effect is known, {right.right} ({right.right / right.of:.0%}) {were} right in "
+        f"place and kind, and {place.right} ({place.right / place.of:.0%}) at least in place"
     )
     return Claim(np.nan, said, evidence)
 

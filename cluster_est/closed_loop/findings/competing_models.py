@@ -16,7 +16,7 @@ from cluster_est.closed_loop.findings.effects import effect_block
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
-from cluster_est.problem.display import in_a_row, percent
+from cluster_est.problem.display import in_a_row, percent, plain_number
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.statistics.choice_shares import LinearFit, choice_shares
@@ -300,25 +300,17 @@ EXPENSIVE = 5.0
 
 
 def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
-    """Say which structures make simulations expensive; nothing if none does.
+    """Say whether the last accepted structure that makes simulations expensive does; or nothing.
 
     A solver with adaptive steps makes more steps if an effect is fast, such as a lag of a
     millisecond in a record of an hour. The steps are counted, not the time, so that the sentence is
     the same on every machine.
     """
-    expensive = [each for each in path if each.relative_steps > EXPENSIVE]
-    if not expensive:
+    kept = [each for each in path if each.accepted and each.relative_steps > EXPENSIVE]
+    if not kept:
         return ()
-    worst = max(expensive, key=lambda each: each.relative_steps)
-    tried = "1 structure" if len(expensive) == 1 else f"{len(expensive)} structures"
-    said = (
-        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as many "
-        f"solver steps as the declared model; the most expensive, {' + '.join(worst.effects)}, "
-        f"needed {worst.relative_steps:.3g} times as many (structures.parquet lists them all in "
-        "the column relative_steps)"
+    named = in_a_row(kept[-1].effects)
+    return (
+        f"with {named}, a simulation takes {plain_number(kept[-1].relative_steps, 3)} times as "
+        "many solver steps as with the declared model, so simulations are slower",
     )
-    kept = [each for each in expensive if each.accepted]
-    if kept:
-        most = kept[-1].relative_steps
-        said += f"; with the added effects, a simulation takes {most:.3g} times as many steps"
-    return (said,)

@@ -54,9 +54,8 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
             place = str(candidate.site), candidate.effect.variables
             places.setdefault(place, []).append(candidate.form.name)
     return tuple(
-        f"{in_a_row(names)} are functions of the same variable, {argument}, at {site}: the data "
-        "determine only the sum of these terms, so the size and the name of each term are less "
-        "certain"
+        f"{in_a_row(names)} are functions of the same variable, {argument}, at {site}: use their "
+        "sum as one curve, because the size and the name of the single terms are less certain"
         for (site, (argument,)), names in places.items()
         if len(names) > 1
     )
@@ -146,8 +145,11 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
             )
     share = best[0] / total
     if share < STANDS_OUT * best[1]:
-        return "the remaining error is spread over all records; no part stands out"
-    return f"the largest part of the remaining error ({share:.0%}) is in {best[2]}"
+        return "the remaining error is spread evenly over all experiments"
+    return (
+        f"the remaining error is largest in {best[2]}: {share:.0%} of the squared error is in "
+        f"{best[1]:.1%} of the samples"
+    )
 
 
 def _describe(

@@ -228,6 +228,9 @@ class ErrorChange:
         )
 
 
+ROLES: tuple[Role, ...] = ("train", "test")
+
+
 def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark: str = "") -> str:
     """Compare the remaining error with the noise, and name outputs whose noise is not known.
 
@@ -235,16 +238,21 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
     """
     train, test = (largest_error(errors, role) for role in ("train", "test"))
     said = []
-    worst = " of the worst output" if len({e.output for e in errors}) > 1 else ""
+    several = len({e.output for e in errors}) > 1
+    worst = {role: _worst_output(errors, role) if several else "" for role in ROLES}
+    one = len({output for output in worst.values() if output}) == 1
+    of = " of the worst output" if several else ""
+    of += f", {worst['train'] or worst['test']}," if several and one else ""
+    at = {role: f" ({output})" if output and not one else "" for role, output in worst.items()}
     if np.isfinite(train) and np.isfinite(test):
         said.append(
-            f"the remaining error{worst} is {_times(train)} times {over} on training data and "
-            f"{_times(test)} times on held-out data{remark}"
+            f"the remaining error{of} is {_times(train)} times {over} on training data"
+            f"{at['train']} and {_times(test)} times on held-out data{at['test']}{remark}"
         )
     elif np.isfinite(train) or np.isfinite(test):
         where = "" if np.isfinite(train) else " on held-out data"
         size = f"{_times(train if not where else test)} times {over}{where}"
-        said.append(f"the remaining error{worst} is {size}{remark}")
+        said.append(f"the remaining error{of} is {size}{remark}")
     silent = without_noise(errors)
     if silent:
         said.append(
@@ -256,6 +264,12 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
         if failed:
             said.append(f"{kind} experiment {', '.join(failed)} could not be simulated")
     return "; ".join(said)
+
+
+def _worst_output(errors: Sequence[ErrorChange], role: Role) -> str:
+    """Return the output with the largest error over its noise; "" if no error is known."""
+    sizes = _errors_by_output(errors, role)
+    return max(sizes, key=lambda output: sizes[output]) if sizes else ""
 
 
 def _times(size: float) -> str:
@@ -303,12 +317,17 @@ def comparable(errors: Sequence[ErrorChange]) -> tuple[ErrorChange, ...]:
 
 def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:
     """Return the largest error of an output with the effects, over its noise; NaN without any."""
+    return max(_errors_by_output(errors, role).values(), default=np.nan)
+
+
+def _errors_by_output(errors: Sequence[ErrorChange], role: Role) -> dict[str, float]:
+    """Return the known errors with the effects, over their noise, by output."""
     outputs = dict.fromkeys(e.output for e in errors if e.role == role)
-    own = [
-        pooled_error([e for e in errors if e.output == output], role, after=True)
+    sizes = {
+        output: pooled_error([e for e in errors if e.output == output], role, after=True)
         for output in outputs
-    ]
-    return max((e for e in own if np.isfinite(e)), default=np.nan)
+    }
+    return {output: size for output, size in sizes.items() if np.isfinite(size)}
 
 
 def pooled_error(errors: Sequence[ErrorChange], role: Role, *, after: bool) -> float:

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import SHORTEST_SPECTRUM
-from cluster_est.problem.display import readable_time
+from cluster_est.problem.display import plain_number, readable_time
 from cluster_est.problem.tables.measured import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
 from cluster_est.statistics.dependence import dependence, periodic_share
@@ -19,6 +19,9 @@ from workers.messages import Experiment, FloatArray
 
 SHARE_OF_POWER = 0.9
 """Share of the power below the frequency that is reported."""
+
+SLOW = 0.01
+"""Frequency in Hz below which only the period is given."""
 
 MOST_EVEN_STEPS = 2.0
 """Largest number of evenly spaced steps for each sample of a record. In a record with long gaps, or
@@ -61,16 +64,17 @@ class UnexplainedResidual:
 
     @property
     def sentence(self) -> str:
-        """Give its size and its periods."""
+        """Give its size and its periods, as the change of an output."""
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        said = f"{self.size:.3g}{unit} rms at {self.output}"
-        if np.isfinite(self.over_noise):
-            said += f", which is {self.over_noise:.3g} times the sample-to-sample noise"
+        said = f"output {self.output} by {plain_number(self.size, 3)}{unit} rms"
         if np.isfinite(self.period):
-            return f"{said}; most of it has a period of {readable_time(self.period)}"
+            return f"{said}, mostly with a period of {readable_time(self.period)}"
         if np.isfinite(self.shortest_period):
             shortest = readable_time(self.shortest_period)
-            return f"{said}; nine tenths of its power has periods above {shortest}"
+            fastest = 1.0 / self.shortest_period
+            below = f" (frequencies below {fastest:.3g} Hz)" if fastest >= SLOW else ""
+            power = f"{SHARE_OF_POWER:.0%} of the power of this change"
+            return f"{said}, with {power} at periods above {shortest}{below}"
         return said
 
 

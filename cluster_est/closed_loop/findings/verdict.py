@@ -135,11 +135,11 @@ class _Residual:
         """Give the size of the residual and its unit."""
         worst = max(self.outputs, key=lambda o: o.level, default=None)
         if worst is None:
-            return f"the residual is {np.sqrt(1.0 + self.excess):.2f} times the noise"
+            return f"the remaining error is {np.sqrt(1.0 + self.excess):.2f} times the noise"
         named = f" of {worst.output}" if len(self.outputs) > 1 else ""
         if not np.isfinite(worst.level):
-            return f"the residual{named} contains no noise"
-        return f"the residual{named} is {worst.level:.3g} times the {worst.over}"
+            return f"the remaining error{named} contains no noise"
+        return f"the remaining error{named} is {worst.level:.3g} times the {worst.over}"
 
 
 def judge(fitter: Fitter, found: SelectionResult) -> ReasonedVerdict:
@@ -171,12 +171,10 @@ def _judged(
     training, predicted = _closed(fitter, found, now)
     closed = min(training, predicted)
     several = len(found.current.added) > 1
-    closes = "the effects close" if several else "the effect closes"
-    share = f"{closes} {training:.0%} of the gap between error and noise"
+    closes = "the effects remove" if several else "the effect removes"
+    share = f"{closes} {training:.0%} of {EXCESS}"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
-        share += (
-            f", and {predicted:.0%} of it in predictions of records that were left out of the fit"
-        )
+        share += f" ({predicted:.0%} in {CROSS_VALIDATION})"
     tables = any(c.form.free for c in found.current.added)
     dynamics = any(c.form.is_dynamics for c in found.current.added)
     # a curve can take any shape, so at the right place it must leave little
@@ -196,7 +194,10 @@ def _judged(
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     mostly = found.prediction.is_better_than(found.base_prediction)
     if now.of_sensors and not tables and mostly:
-        rest = f"{share}; the rest looks like autocorrelated sensor noise"
+        rest = (
+            f"{share}; what remains looks like autocorrelated sensor noise, so no further effect "
+            "is needed"
+        )
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
     if closed > most:
         reason = f"{share}; the residual still has structure"
@@ -206,8 +207,9 @@ def _judged(
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
     missing = f"{base.missing}, and {_nothing(found)}"
     best = "the best effects" if several else "the best effect"
-    little = _little(training, predicted, several=several)
-    return ReasonedVerdict(Verdict.UNEXPLAINED, f"{missing}: {best} {little}", closed)
+    little = _little(training, predicted, most, several=several)
+    reason = f"{missing}: {best} {little}{_more_effects(found)}"
+    return ReasonedVerdict(Verdict.UNEXPLAINED, reason, closed)
 
 
 def _nothing(found: SelectionResult) -> str:
@@ -215,23 +217,29 @@ def _nothing(found: SelectionResult) -> str:
     settings = found.settings
     narrowed = settings.forms or settings.sites
     among = "among the forms and sites that closed_loop allows" if narrowed else "in the library"
-    said = f"no effect {among} explains the residual"
-    if found.last.why != RejectionReason.LIMIT_OF_EFFECTS:
-        return said
     most = settings.max_effects
-    return f"{said} with at most {most} effect{'s' if most > 1 else ''} (closed_loop.max_effects)"
+    limited = found.last.why == RejectionReason.LIMIT_OF_EFFECTS and most > 1
+    what = f"combination of up to {most} effects" if limited else "effect"
+    return f"no {what} {among} explains the remaining error"
 
 
-def _little(training: float, predicted: float, *, several: bool) -> str:
-    """Say how little of the gap the best effects would close, and where."""
+def _more_effects(found: SelectionResult) -> str:
+    """Say how to allow more effects, if their largest number ended the search."""
+    if found.last.why != RejectionReason.LIMIT_OF_EFFECTS:
+        return ""
+    most = found.settings.max_effects
+    return f"; to try more effects, set closed_loop.max_effects = {most + 1} or more"
+
+
+def _little(training: float, predicted: float, most: float, *, several: bool) -> str:
+    """Say how little of the gap the best effects would remove, and where."""
     if predicted < 0.0:
         return f"{'predict' if several else 'predicts'} {WORSE}"
-    if predicted < training:
-        said = (
-            f"would close only {predicted:.0%} of the gap in records that were left out of the fit"
-        )
-        return f"{said}, and {training:.0%} in the training data"
-    return f"would close only {training:.0%} of the gap"
+    needed = f" (more than {most:.0%} is needed)"
+    if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
+        said = f"would remove only {predicted:.0%} of {EXCESS} in {CROSS_VALIDATION}"
+        return f"{said}, and {training:.0%} in the fit{needed}"
+    return f"would remove only {training:.0%} of {EXCESS}{needed}"
 
 
 def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
@@ -240,21 +248,23 @@ def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
     if now.structured and now.of_sensors and not nowhere:
         return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now))
     if now.structured:
-        return ReasonedVerdict(Verdict.UNEXPLAINED, f"{now.missing}, {_why_not(why)}")
+        return ReasonedVerdict(Verdict.UNEXPLAINED, f"{now.missing}, {_why_not(found)}")
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
         if screening.structure.p <= FAMILY_WISE_LEVEL:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now))
-        reason = "no candidate is significant after whitening the residual"
-        return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
+        reason = f"{RejectionReason.COLOURED_NOISE} {_p(found, screening.p_white)}"
+        return ReasonedVerdict(Verdict.NONE, f"{reason}; {now.level}")
     if why == RejectionReason.NOT_SIGNIFICANT:
-        reason = f"no candidate is significant (family-wise p = {_p(found)})"
-        return ReasonedVerdict(Verdict.NONE, reason)
+        reason = f"{RejectionReason.NOT_SIGNIFICANT} {_p(found, screening.p)}"
+        return ReasonedVerdict(Verdict.NONE, f"{reason}; {now.level}")
     return ReasonedVerdict(Verdict.NONE, f"the best candidate was not accepted: {why}")
 
 
-WORSE = "left-out records worse than the declared model"
+EXCESS = "the squared error above the noise"
+CROSS_VALIDATION = "cross-validation, that is, in training data that were left out of the fit"
+WORSE = "data that were left out of the fit (cross-validation) worse than the declared model does"
 
 NOWHERE = (
     "closed_loop.effects and closed_loop.sites leave no site for an effect: they exclude every "
@@ -262,45 +272,52 @@ NOWHERE = (
 )
 
 
-def _why_not(why: RejectionReason | None) -> str:
+def _why_not(found: SelectionResult) -> str:
+    why, closed = found.last.why, found.last.closed
     if why == RejectionReason.NO_CANDIDATE:
         return f"but {why}: {NOWHERE}"
     if why == RejectionReason.NOT_SIGNIFICANT:
-        return "but no candidate is significant, although the residual has smooth structure"
+        return f"but {why}, although the residual has smooth structure"
     if why == RejectionReason.COLOURED_NOISE:
         return (
-            "and no effect explains the residual: it is autocorrelated and too large for sensor "
-            "noise, and no candidate is significant once the autocorrelation is taken into account"
+            "and no effect explains the remaining error: it is autocorrelated and too large for "
+            f"sensor noise, and {why}"
         )
     if why == RejectionReason.COLOURED_GAIN:
         return (
-            "and no effect explains the residual: it is autocorrelated, and once this is taken "
-            "into account, the best candidate is not significant"
+            "and no effect explains the remaining error: it is autocorrelated, and once this is "
+            "taken into account, the best candidate is not significant"
+        )
+    if why == RejectionReason.LITTLE_EXPLAINED and closed >= 0.0:
+        return (
+            f"and no effect explains the remaining error: the best candidate removes only "
+            f"{closed:.0%} of {EXCESS} in {CROSS_VALIDATION} (limit: closed_loop.least_gain = "
+            f"{found.settings.least_gain:g})"
         )
     if why in (RejectionReason.LITTLE_EXPLAINED, RejectionReason.NUMERICAL_ERROR):
-        return f"and no effect explains the residual: the best candidate {why.removeprefix('it ')}"
-    return f"and no effect explains the residual: {why}"
+        best = f"the best candidate {why.removeprefix('it ')}"
+        return f"and no effect explains the remaining error: {best}"
+    return f"and no effect explains the remaining error: {why}"
 
 
 def _coloured(found: SelectionResult, now: _Residual) -> str:
     """Say why the residual counts as coloured noise, although an effect may explain a part."""
     why, screening = found.last.why, found.last.screening
     if why == RejectionReason.NOT_SIGNIFICANT:
-        rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
+        rest = f"{why} {_p(found, screening.p)}"
     elif screening.p_white > found.settings.significance:
-        rest = (
-            "no candidate is significant once the autocorrelation is taken into account "
-            f"(family-wise p = {screening.p_white:.2g})"
-        )
+        rest = f"{RejectionReason.COLOURED_NOISE} {_p(found, screening.p_white)}"
     else:
         rest = f"the best candidate was not accepted: {why}"
     return f"{_autocorrelated(now)}; {rest}"
 
 
-def _p(found: SelectionResult) -> str:
-    screening = found.last.screening
-    plain = found.last.why == RejectionReason.NOT_SIGNIFICANT
-    return f"{screening.p if plain else screening.p_white:.2g}"
+def _p(found: SelectionResult, p: float) -> str:
+    """Give a family-wise p-value and its limit."""
+    count = found.last.screening.count
+    among = f" after correction for {count} candidate{'' if count == 1 else 's'}" if count else ""
+    limit = f"limit: closed_loop.significance = {found.settings.significance:g}"
+    return f"(p = {p:.2g}{among}, {limit})"
 
 
 def _autocorrelated(residual: _Residual) -> str:
@@ -440,7 +457,7 @@ def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopS
     closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan
     if closed < judged.least:
         return (
-            f"on held-out data, the effects would close only {closed:.0%} of the gap: the error "
+            f"on held-out data, the effects would remove only {closed:.0%} of {EXCESS}: the error "
             f"would go from {old:.3g} to {new:.3g} times {judged.over}"
         )
     return ""

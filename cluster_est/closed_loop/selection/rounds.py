@@ -63,8 +63,11 @@ class RejectionReason(enum.StrEnum):
     """The reason why a round added no effect; the summary of a run quotes its text."""
 
     NO_CANDIDATE = "no effect could be tried"
-    NOT_SIGNIFICANT = "no candidate is significant"
-    COLOURED_NOISE = "no candidate is significant once the autocorrelation is taken into account"
+    NOT_SIGNIFICANT = "no candidate effect improves the fit significantly"
+    COLOURED_NOISE = (
+        "once the autocorrelation of the residual is taken into account, no candidate effect "
+        "improves the fit significantly"
+    )
     LIMIT_OF_EFFECTS = "closed_loop.max_effects allows no further effect"
     FREE_CURVE = (
         "a free curve or filter was added, and its own error is part of the remaining error"
@@ -84,14 +87,14 @@ class RejectionReason(enum.StrEnum):
     REFITS = "the added effects do not improve the prediction of data that were left out of the fit"
     STRENGTHS = "according to the data, the strengths of the added effects may be zero"
     FUNCTIONS_OF_TIME = (
-        "drifts or sinusoids in time would close a part of the gap between error and noise, but "
+        "drifts or sinusoids in time would remove a part of the squared error above the noise, but "
         "they can imitate any slow disturbance, and they would leave more than noise"
     )
     LITTLE_GAIN = "the fit does not improve significantly, given the number of candidates"
     COLOURED_GAIN = "autocorrelated noise would explain the residual equally well"
     NOT_PREDICTED = "the prediction of data that were left out of the fit does not improve"
     NUMERICAL_ERROR = "it improves the fit by no more than the numerical error of the solver could"
-    LITTLE_EXPLAINED = "it closes too little of the gap between error and noise"
+    LITTLE_EXPLAINED = "it removes too little of the squared error above the noise"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from cluster_est.problem.display import in_a_row, plain_number
 from cluster_est.statistics.noise.outliers import isolated_outliers
 from cluster_est.toml import dotted, inline
 from workers.messages import Experiment, FloatArray, Input, Interpolation
@@ -195,12 +196,16 @@ class JumpsOfRecord:
 
     @property
     def sentence(self) -> str:
-        """The number of jumps, and the time and size of the largest jump, as a text."""
+        """The experiment and the number of jumps, as a text."""
         times = "once" if self.count == 1 else f"{self.count} times"
-        largest = "" if self.count == 1 else ", by most"
+        return f"{self.experiment!r} ({times})"
+
+    def size(self, unit: str) -> str:
+        """Return the time and the size of the largest jump as a text."""
+        unit = f" {unit}" if unit not in ("", "1") and "?" not in unit else ""
         return (
-            f"{times} in {self.experiment}{largest} at {self.time:.6g} s "
-            f"from {self.before:.4g} to {self.after:.4g}"
+            f"from {plain_number(self.before)} to {plain_number(self.after)}{unit} at "
+            f"t = {plain_number(self.time, 6)} s in {self.experiment!r}"
         )
 
 
@@ -227,6 +232,7 @@ def jump_findings(
     experiments: Sequence[Experiment],
     holds: Callable[[str], bool],
     columns: Mapping[str, str],
+    unit_of: Callable[[str], str] = lambda _: "",
 ) -> tuple[tuple[str, str], ...]:
     """Return a finding and an advice for each input that jumps but is not held.
 
@@ -239,15 +245,26 @@ def jump_findings(
         declares that it changes only at events.
     columns
         The known columns of the table by config key, such as {"inputs.u": "force"}.
+    unit_of
+        A function that returns the unit of an input.
     """
     return tuple(
         (
-            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps {_where(records)}; "
-            "linear interpolation turns the jumps into ramps, which a fit may confuse with a delay",
-            f"{interpolated(name, columns, 'hold')}, if the input keeps each sample until the next",
+            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps between samples in "
+            f"{_where(records, unit_of(name))}; linear interpolation turns each jump into a ramp, "
+            "and a ramp can look like a delay, a lag or a rate limit of the input",
+            f"if the real input keeps each value until the next sample, set "
+            f"{interpolated(name, columns, 'hold')} in the experiments{_fill_in(name, columns)} "
+            "and run again",
         )
         for name, records in jumping_inputs(experiments, holds).items()
     )
+
+
+def _fill_in(variable: str, columns: Mapping[str, str]) -> str:
+    """Say what COLUMN stands for; "" if the column is known."""
+    known = f"inputs.{variable}" in columns
+    return "" if known else ", with the name of its column instead of COLUMN,"
 
 
 def interpolated(variable: str, columns: Mapping[str, str], how: Interpolation) -> str:
@@ -260,9 +277,14 @@ def _of_column(column: str) -> str:
     return f" (column {inline(column)})" if column else ""
 
 
-def _where(records: Sequence[JumpsOfRecord]) -> str:
-    """Return a text on the experiments with the largest jumps."""
+def _where(records: Sequence[JumpsOfRecord], unit: str) -> str:
+    """Return a text on the experiments with the largest jumps, and on the largest jump."""
     largest = sorted(records, key=lambda each: -abs(each.after - each.before))
-    named = ", ".join(each.sentence for each in largest[:MOST_NAMED_RECORDS])
+    named = [each.sentence for each in largest[:MOST_NAMED_RECORDS]]
     more = len(records) - MOST_NAMED_RECORDS
-    return f"{named}, and in {more} more experiments" if more > 0 else named
+    if more > 0:
+        named.append(f"{more} more")
+    several = len(records) > 1
+    first = largest[0]
+    what = "the jump is" if not several and first.count == 1 else "the largest jump is"
+    return f"experiment{'s' if several else ''} {in_a_row(named)}; {what} {first.size(unit)}"

@@ -60,8 +60,9 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
     if not found.directions or (step > 0.0).all():
         return found
     note = (
-        "the statements about directions were not confirmed by simulations, because some "
-        "simulations close to the solution failed or bounds excluded them"
+        "the statements on parameters that the data hardly determine come from derivatives only: "
+        "they could not be checked by simulations near the solution, because simulations failed or "
+        "the bounds are too close"
     )
     return replace(found, notes=(*found.notes, note))
 

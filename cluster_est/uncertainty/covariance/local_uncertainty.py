@@ -138,13 +138,16 @@ def _how(
         return f"{labels[0]} {grows} by the factor by which {labels[1]} falls"
     if len(labels) == 2 and weights[1] > 0.0:
         return f"{labels[0]} and {labels[1]} {grow} in the ratio 1 : {weights[1]:.3g}"
+    in_percent = bool(np.isfinite(relative).all())
+    changes, unit = (relative, " %") if in_percent else (weights, "")
     others = [
-        f"{label} {'grows' if weight > 0.0 else 'falls'} by {abs(weight):.3g}"
-        for label, weight in zip(
-            labels[1:MOST_NAMED_CHANGES], weights[1:MOST_NAMED_CHANGES], strict=False
+        f"{label} {'grows' if change > 0.0 else 'falls'} by {abs(change):.3g}{unit}"
+        for label, change in zip(
+            labels[1:MOST_NAMED_CHANGES], changes[1:MOST_NAMED_CHANGES], strict=False
         )
     ]
-    return f"{labels[0]} {grows} by 1 while {joined(others)}"
+    own_units = "" if in_percent else " (each in its own unit)"
+    return f"{labels[0]} {grows} by 1{unit} while {joined(others)}{own_units}"
 
 
 def joined(words: Sequence[str]) -> str:

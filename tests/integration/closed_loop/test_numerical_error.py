@@ -152,7 +152,7 @@ def test_a_limit_that_is_reached_between_two_communication_points_has_an_error()
     truth = float(np.sqrt(np.mean((residuals[0] - residuals[1]) ** 2)))
     assert found.rms[0] == pytest.approx(truth, rel=0.5)
     (sentence,) = replace(found, noise=found.rms).notes_with_effects
-    assert sentence.startswith("with the effects, the communication step of")
+    assert sentence.startswith("in the model with effects, the communication step of")
 
 
 def test_a_tolerance_keeps_the_error_of_an_effect_small():
@@ -194,7 +194,7 @@ def test_an_error_hides_effects_that_is_large_beside_noise_and_residual(
 
 def test_the_refusal_says_how_large_and_what_to_set(of_a_step):
     found = sized(of_a_step, 4.3, 4.4)
-    said = "communication step of 0.1 s.*4.3 times the noise.*at y; convergence order 1.*"
+    said = "communication step of 0.1 s.*4.3 times the noise in output y, so "
     said += "a missing effect cannot be distinguished.*set model.step = 0.0007813.* first"
     assert re.search(said, found.refusal)
     assert found.notes[0].startswith("the search looked for no effects, because the commun")
@@ -226,7 +226,7 @@ def test_a_loose_tolerance_is_spoken_of_however_small_its_error_is_here():
     found, _ = error_and_truth(replace(DATA, model=replace(DATA.model, solver=solver)), DATA)
     (note,) = sized(found, 1e-5, 1.0, np.nan).notes
     assert "1e-05 times the noise" in note
-    assert "negligible here; model.rtol = 1e-04 keeps it negligible in other cases" in note
+    assert "negligible here; set model.rtol = 1e-04 to keep it negligible in other cases" in note
 
 
 def test_what_could_not_be_measured_is_said(of_a_step):

@@ -37,9 +37,9 @@ def test_the_friction_is_found_and_the_outliers_are_counted(run: Path) -> None:
     (effect,) = found["effects"]
     assert effect["form"] == "coulomb"
     assert effect["parameters"]["k"]["value"] == pytest.approx(FRICTION, rel=0.05)
-    training, held_out = (note for note in found["notes"] if "outlier" in note)
-    assert "of the samples of y are outliers (4 of 240): they differ" in training
-    assert held_out.startswith("0.83 % of the held-out samples of y are outliers (1 of 120): ")
+    (note,) = (note for note in found["notes"] if "outlier" in note)
+    assert note.startswith("outliers were left out of fits, errors and tables: y 4 of 240 training")
+    assert "and y 1 of 120 held-out samples (up to" in note
 
 
 def test_tables_are_without_them(run: Path) -> None:
@@ -60,7 +60,11 @@ def test_a_fit_with_what_the_loop_says_has_the_same_samples_and_cost(
     assert found["left_out"].keys() == expected.keys()
     for name, own in expected.items():
         assert found["left_out"][name]["y"] == pytest.approx(own["y"])
-    (note,) = (note for note in found["notes"] if "for a fit to the same samples" in note)
+    (note,) = (
+        note
+        for note in found["notes"]
+        if "to leave out the same samples in cluster-est fit" in note
+    )
     assert "left_out.y = [0.6, 1.54] to experiment 'run0'" in note
     text = (run.parent / "config.toml").read_text()
     for name, own in found["left_out"].items():

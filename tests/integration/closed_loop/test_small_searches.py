@@ -101,10 +101,10 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     found = ce.close_loop(problem, settings=settings("der(v)", "drift", "coulomb"))
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
-    assert "drifts or sinusoids in time would close a part of the gap" in found.message
-    assert "comes from an unmeasured disturbance" in found.message
+    assert "drifts or sinusoids in time would remove a part of the squared error" in found.message
+    assert "the cause may also be an unmeasured disturbance" in found.message
     assert any("so they are too narrow" in note for note in found.notes)
-    assert any("the largest part" in note or "spread over all" in note for note in found.notes)
+    assert any("largest in" in note or "spread evenly" in note for note in found.notes)
     assert found.rejected
     assert {each.form for each in found.rejected} <= {"drift", "coulomb"}
     for each in found.rejected:

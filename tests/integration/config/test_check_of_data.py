@@ -164,7 +164,8 @@ def rounded(sigma):
         (
             run(TRUTH),
             "jumps",
-            "input V jumps 2 times in run, by most at 0.095 s from 0 to 6; linear interpolation",
+            "input V jumps between samples in experiment 'run' .2 times.; the largest jump is "
+            "from 0 to 6 V at t = 0.095 s in 'run'; linear interpolation",
             'inputs.V = { column = "COLUMN", interpolation = "hold" }',
         ),
         (

@@ -129,7 +129,8 @@ class TestWhereAnInputJumps:
         Path("first.toml").write_text(text, encoding="utf-8")
         main(["check", "first.toml"])
         said = " ".join(capsys.readouterr().out.split())
-        assert re.search(r"input F \(column \S+\) jumps 4 times in \w+, by most at [\d.]+ s", said)
+        assert re.search(r"input F \(column \S+\) jumps between samples in .*\(4 times\)", said)
+        assert re.search(r"the largest jump is from \S+ to \S+ .*at t = [\d.]+ s", said)
 
 
 class TestWhereExperimentsAreAlike:

@@ -114,10 +114,10 @@ def test_a_poor_fit_names_the_record_and_the_time_of_a_jump():
     found = ce.fit(ce.Problem(model, parameters, [run]), resources=ONE)
     (other,) = interpolation_sentences(found)
     assert "fits better with input V held" in other
-    assert "in experiment the motor after the jump at 0.095 s" in other
+    assert "in experiment 'the motor' after the jump at 0.095 s" in other
     (said,) = interpolation_sentences(replace(found, interpolation=None))
     assert said.startswith("the error of current is largest just after jumps of input V")
-    assert "in experiment the motor, after the jump at 0.095 s" in said
+    assert "in experiment 'the motor', after the jump at 0.095 s" in said
     assert 'inputs.V = { column = "COLUMN", interpolation = "hold" }' in said
     fine = replace(found, diagnostics=replace(found.diagnostics, outputs=(), together=None))
     assert not interpolation_sentences(replace(fine, interpolation=None))

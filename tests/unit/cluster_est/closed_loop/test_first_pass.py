@@ -62,9 +62,9 @@ def test_outliers_are_left_out_and_counted(clean: Problem) -> None:
         assert run.outputs[0].values.tolist() == all_of_it.outputs[0].values[kept].tolist()
         assert run.inputs == all_of_it.inputs
     assert found.before.problem.experiments[0].size == 601 - 6
-    training, held_out = (note for note in found.notes if "outlier" in note)
-    assert training.startswith("1 % of the samples of y are outliers (6 of 601): they differ")
-    assert held_out.startswith("0.5 % of the held-out samples of y are outliers (3 of 601): ")
+    (note,) = (note for note in found.notes if "outlier" in note)
+    assert note.startswith("outliers were left out of fits, errors and tables: y 6 of 601 training")
+    assert "and y 3 of 601 held-out samples (up to" in note
     assert [len(run.outputs[0].times) for run in spoiled.experiments] == [601, 601]
 
 

@@ -199,7 +199,8 @@ def test_states_are_closed_in_co_simulation():
         pass
     with opened(problem) as bench:
         assert "der(v)" not in bench.scope.sites
-        assert any("state derivatives are not accessible" in note for note in bench.scope.notes)
+        (note,) = (n for n in bench.scope.notes if "state derivatives are not accessible" in n)
+        assert 'set model.interface = "model_exchange"' in note
 
 
 def of_few_samples(*samples, sigma=0.5):

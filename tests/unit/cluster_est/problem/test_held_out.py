@@ -86,7 +86,7 @@ def test_a_value_of_a_held_out_experiment_of_its_own_is_said_to_be_fitted_to_it(
     problem = spring_problem(experiments=2, noise=NOISE).problem
     first, second = problem.experiments
     apart = ce.fit(replace(problem, experiments=(first, replace(second, role="test"))))
-    said = "x0[e1]: fitted to the held-out data, because no training experiment has this value"
+    said = "x0 (value for 'e1') was fitted to the held-out data, because no training experiment"
     assert any(said in note for note in apart.notes)
     assert not any("held-out" in note for note in ended.notes)
 

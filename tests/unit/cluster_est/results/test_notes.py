@@ -65,7 +65,7 @@ def noted(result):
         (replace(FINE, largest_over_rms=9.0, sigma=SigmaDoubt.OUTLIERS),
          "the largest is 9 times.*outliers.*huber", "intervals"),
         (replace(RELATED, rms_over_sigma=12.0, noise_over_sigma=9.0, sigma=SigmaDoubt.TOO_SMALL),
-         "1.3 x its noise.*alone is 9 x sigma.*sigma is probably 9 times too small",
+         "1.3 x its noise.*noise is about 9 times the declared sigma.*multiply it by 9 ",
          "error is 12 x sigma"),
     ],
 )  # fmt: skip

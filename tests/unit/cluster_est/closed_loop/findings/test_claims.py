@@ -99,8 +99,8 @@ def test_a_lead_is_no_claim_and_has_no_probability():
     found = lead(EVIDENCE, KNOWN)
     assert np.isnan(found.probability)
     assert found.sentence == (
-        "this is a lead, not a claim: of 75 leads in the benchmark, 12 were right in place and "
-        "kind, and 33 at least in place"
+        "this is a lead, not a claim: of 75 leads in the benchmark, in which the missing effect "
+        "is known, 12 (16%) were right in place and kind, and 33 (44%) at least in place"
     )
 
 
@@ -184,8 +184,15 @@ def test_the_summary_says_how_sure_each_effect_is():
     loud = replace(HELD_OUT, normalised_after=9.0)
     doubtful = with_claims([FRICTION], [ERROR, loud], ROWS, declared=True, claimed=True)
     assert not doubtful[0].claimed
-    assert how_sure(doubtful, claimed=True).endswith("; coulomb at der(v): a lead, not a claim")
+    assert how_sure(doubtful, claimed=True).endswith(
+        "; below 50 %, an effect is only a lead: check coulomb at der(v) by a test or an "
+        "inspection before you rely on it"
+    )
     leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, declared=True, claimed=False)
     assert how_sure(leads, claimed=False).startswith(
-        "coulomb at der(v) and gain at output y: this is a lead"
+        "best guess: coulomb at der(v) and gain at output y: for each effect, this is a lead"
+    )
+    told = replace(leads[0], words="Coulomb friction", equation="der(v) += -k * tanh(v / w)")
+    assert how_sure([told], claimed=False).startswith(
+        "best guess: coulomb at der(v) (Coulomb friction: der(v) += -k * tanh(v / w)): this is"
     )

@@ -26,35 +26,41 @@ def at_bound(*estimates):
 @pytest.mark.parametrize(
     ("after", "cause"),
     [
-        (at_bound(SHAPE), "e.half at its upper bound, 31 m: at the end of its range, a law"),
+        (
+            at_bound(SHAPE),
+            "half of saturation at input u at its upper bound, 31 m: with a coefficient",
+        ),
         (at_bound(DECLARED), "k at its upper bound, 9: an effect may compensate for a value"),
         (SLOW, "the last fit of the model with the effects did not converge"),
     ],
     ids=["shape at its end", "declared parameter at its bound", "not converged"],
 )
 def test_what_is_in_doubt_bars_found_and_is_named(after, cause):
-    judged, said = doubted(FOUND, {"e"}, DONE, after)
+    judged, said = doubted(FOUND, {"e": "saturation at input u"}, DONE, after)
     assert judged.verdict is Verdict.PARTIAL
     assert judged.reason.startswith(FOUND.reason)
     assert cause in judged.reason
-    (sentence,) = said
+    assert said == ()
+    lower = replace(FOUND, verdict=Verdict.PARTIAL)
+    same, (sentence,) = doubted(lower, {"e": "saturation at input u"}, DONE, after)
+    assert same is lower
     assert cause in sentence
 
 
 def test_without_doubts_what_was_found_stays_found():
     known = replace(DONE, estimates=(SHAPE, DECLARED))
-    assert doubted(FOUND, {"e"}, DONE, known) == (FOUND, ())
+    assert doubted(FOUND, {"e": "saturation at input u"}, DONE, known) == (FOUND, ())
 
 
 def test_each_cause_is_named_apart():
-    _, said = doubted(FOUND, {"e"}, DONE, at_bound(SHAPE, DECLARED))
-    declared, shape = said
+    judged, _ = doubted(FOUND, {"e": "saturation at input u"}, DONE, at_bound(SHAPE, DECLARED))
+    _, declared, shape = judged.reason.split("; ", maxsplit=2)
     assert declared.startswith("the fit with the effects ends with k at its upper bound")
-    assert shape.startswith("the fit ends with e.half at its upper bound")
+    assert shape.startswith("the fit ends with half of saturation at input u at its upper bound")
 
 
 def test_a_fit_of_the_declared_model_alone_bars_nothing_that_was_found():
-    judged, said = doubted(FOUND, {"e"}, SLOW, DONE)
+    judged, said = doubted(FOUND, {"e": "saturation at input u"}, SLOW, DONE)
     assert judged is FOUND
     assert said[0].startswith("the last fit of the declared model did not converge")
 
@@ -67,11 +73,14 @@ def test_a_fit_that_ends_within_a_standard_error_of_its_minimum_is_good_enough(e
     seen = Outcome(0, Status.OK, residuals + errors * column[:, 0])
     at = Evaluation((seen,), 1.0)
     solution = replace(SLOW.solution, jacobian=column, at=at)
-    judged, said = doubted(FOUND, {"e"}, DONE, replace(SLOW, solution=solution))
+    judged, said = doubted(
+        FOUND, {"e": "saturation at input u"}, DONE, replace(SLOW, solution=solution)
+    )
     assert judged.verdict is verdict
-    assert said[0].startswith("the last fit of the model with the effects did not converge")
+    sentence = said[0] if verdict is Verdict.FOUND else judged.reason.split("; ", maxsplit=1)[1]
+    assert sentence.startswith("the last fit of the model with the effects did not converge")
 
 
 def test_where_nothing_was_added_bounds_are_no_doubt_of_an_effect():
     none = ReasonedVerdict(Verdict.NONE, "")
-    assert doubted(none, (), DONE, at_bound(DECLARED)) == (none, ())
+    assert doubted(none, {}, DONE, at_bound(DECLARED)) == (none, ())

@@ -119,7 +119,7 @@ def test_an_output_that_is_followed_exactly_has_nothing_to_compare():
     ("declared", "said"),
     [
         (TRUE, ""),
-        (TRUE / 10.0, "the declared sigma is probably 10 times too small; correct it"),
+        (TRUE / 10.0, "too small; multiply it by 10 (key sigma in the experiments) and run again"),
         (
             TRUE * 10.0,
             "probably 9.9 times too large; correct it, because otherwise errors over sigma have no "
@@ -154,7 +154,7 @@ def with_sigmas(problem, *sigmas: float):
         ((TRUE, TRUE, TRUE / 10.0, TRUE), "correct it in 'run 2'"),
         (
             (TRUE / 9.0, TRUE / 9.0, TRUE / 10.0, TRUE / 9.0),
-            "y0: the noise from sample to sample alone is 9.3 x sigma",
+            "y0: the noise is about 9.3 times the declared sigma",
         ),
         ((TRUE, 1.1 * TRUE, 1.2 * TRUE, TRUE), ""),
     ],
@@ -233,7 +233,7 @@ def test_size_and_period_of_a_wave():
     assert found.over_noise == pytest.approx(5.0 / np.sqrt(2.0), rel=0.05)
     assert found.size == pytest.approx(SIGMA * 5.0 / np.sqrt(2.0), rel=0.05)
     assert found.period == pytest.approx(1.0 / 8.0, rel=0.1)
-    assert "most of it has a period of" in found.sentence
+    assert "rms, mostly with a period of 0.1" in found.sentence
 
 
 def test_a_broad_spectrum_has_no_period():
@@ -243,7 +243,7 @@ def test_a_broad_spectrum_has_no_period():
     )
     assert np.isnan(found.period)
     assert 0.03 < found.shortest_period < 0.2
-    assert "nine tenths of its power has periods above" in found.sentence
+    assert "with 90% of the power of this change at periods above" in found.sentence
 
 
 def test_noise_alone_is_not_described():

@@ -123,7 +123,7 @@ def test_an_output_without_samples_in_an_experiment_is_passed_over():
 @pytest.mark.parametrize(
     ("residuals", "said"),
     [
-        (np.random.default_rng(4).standard_normal(400), "spread over all records"),
+        (np.random.default_rng(4).standard_normal(400), "spread evenly over all experiments"),
         (np.zeros(400), "there is no remaining error"),
     ],
     ids=["evenly", "nothing"],
@@ -141,8 +141,8 @@ def test_where_and_when_most_of_a_residual_lives():
     residuals[100 + 41 : 100 + 44] = 10.0
     said = where_left(made_fitter(problem), made_fit(problem, residuals))
     assert "output y0 of experiment 'run 1'" in said
-    assert f"({302 / (197 + 300):.0%})" in said
-    start, stop = (float(x) for x in said.split("t = ")[1].removesuffix(" s").split(" and "))
+    assert f" s: {302 / (197 + 300):.0%} of the squared error is in 2.5% of the samples" in said
+    start, stop = (float(x) for x in said.split("t = ")[1].partition(" s:")[0].split(" and "))
     times = problem.experiments[1].outputs[0].times
     assert start <= times[41] < times[43] <= stop
     assert stop - start == pytest.approx(1.0 / 20.0)

@@ -66,14 +66,18 @@ def test_what_is_held_already_needs_no_note():
     ((said, do),) = notes("linear")
     largest = int(np.argmax(np.abs(np.diff(STEPS))))
     at, levels = TIMES[largest], STEPS[[largest, largest + 1]]
-    where = f"by most at {at:g} s from {levels[0]:.4g} to {levels[1]:.4g}"
+    where = f"from {levels[0]:.4g} to {levels[1]:.4g} at t = {at:g} s in 'run 0'"
     assert said.startswith(
-        f"input u jumps 7 times in run 0, {where}, 7 times in run 1, {where}; linear interpolation"
+        "input u jumps between samples in experiments 'run 0' (7 times) and 'run 1' (7 times); the "
+        f"largest jump is {where}; linear interpolation"
     )
     assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
     ((said, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
-    assert '(column "set \\"point\\"") jumps 7 times' in said
-    assert tomllib.loads(do.partition(", if")[0])["inputs"]["u"]["column"] == 'set "point"'
+    assert '(column "set \\"point\\"") jumps between samples' in said
+    assert (
+        tomllib.loads(do.partition("set ")[2].partition(" in the exp")[0])["inputs"]["u"]["column"]
+        == 'set "point"'
+    )
 
 
 @pytest.mark.parametrize(("interpolation", "early"), [("linear", 0.01), ("hold", 0.0)])
