@@ -259,10 +259,11 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> _Gaps 
 def _said(gaps: Sequence[_Gaps]) -> str:
     """Return a sentence on the gaps of an input in all experiments."""
     worst = max(gaps, key=lambda each: each.last - each.first)
-    counts = [f"{each.missing} of {each.rows} in {each.experiment}" for each in gaps]
+    head, *rest = gaps
+    said = [f"{head.missing} of {head.rows} samples are missing in {head.experiment}"]
+    said += [f"{each.missing} of {each.rows} in {each.experiment}" for each in rest]
     return (
-        f"samples are missing at measured times ({listed(counts)}) and are interpolated; the "
-        "longest gap is "
+        f"{listed(said)}, and are interpolated; the longest gap is "
         f"{worst.last - worst.first:.3g} s in {worst.experiment}, from {worst.first:.4g} to "
         f"{worst.last:.4g} s"
     )

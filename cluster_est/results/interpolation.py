@@ -45,6 +45,9 @@ MOST_SECONDS = 300.0
 LEAST_FALL_OF_REFIT = 0.5
 """Least relative decrease of the sum of squares by a refit; with other estimates, the other
 interpolation may compensate a part of another error."""
+LEAST_FALL_OF_SLOW = 0.65
+"""Least decrease for an input with few samples but without jumps. A missing delay of about one of
+its sampling intervals looks like a hold, but leaves a larger error."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,8 @@ class PreferredInterpolation:
     experiment, time
         The experiment, and the time of the jump, after which most of the improvement is; the time
         is NaN for an input without jumps.
+    slow
+        Whether the input has few samples, without jumps, as from a slow sensor.
     """
 
     variable: str
@@ -169,6 +174,7 @@ class PreferredInterpolation:
     experiments: int
     experiment: str
     time: float
+    slow: bool = False
 
     @property
     def sentence(self) -> str:
@@ -176,12 +182,18 @@ class PreferredInterpolation:
         held = self.preferred == "hold"
         how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
+        doubt = (
+            "; a delay of about one of its sampling intervals that is missing from the model looks "
+            "alike"
+            if self.slow
+            else ""
+        )
         fall = "more than 99" if self.fall > 0.99 else f"{100.0 * self.fall:.2g}"
         return (
             f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
             f"{fall} %, most of it in experiment {self.experiment}{after} (the "
             f"best mixture has {self.share:.2f} +- {self.error:.2g}, where 0 is the interpolation "
-            f"of this fit and 1 the other one); set {self.key} and fit again"
+            f"of this fit and 1 the other one); set {self.key} and fit again{doubt}"
         )
 
 
@@ -245,7 +257,7 @@ def compare_interpolations(fitted: FittedExperiments, at: AtFit) -> PreferredInt
         for change in changes:
             own = [next(outcomes) for _ in change.positions]
             compared = _refitted(fitted, change, _compared(fitted, change, own), at)
-            if compared is not None and compared.preferred:
+            if compared is not None and change.shown(compared):
                 strength = compared.share / compared.error if compared.error else np.inf
                 found.append((strength, _preferred(fitted, change, compared)))
     except ClusterEstError:  # then only this hint is missing
@@ -256,11 +268,11 @@ def compare_interpolations(fitted: FittedExperiments, at: AtFit) -> PreferredInt
 def _refitted(
     fitted: FittedExperiments, change: _Change, compared: ChangedSimulation | None, at: AtFit
 ) -> ChangedSimulation | None:
-    """Compare with a refit if the fitted interpolation is rejected, but the other one not better.
+    """Compare with a refit if the fitted interpolation is rejected, but the other one not shown.
 
     The comparison accounts for small changes of the parameters only.
     """
-    if compared is None or compared.preferred or not compared.rejected:
+    if compared is None or change.shown(compared) or not compared.rejected:
         return compared
     again = _compared(fitted, change, at.refit(_changed_runs(fitted, change)))
     return again if again is not None and again.fall > LEAST_FALL_OF_REFIT else compared
@@ -268,11 +280,19 @@ def _refitted(
 
 @dataclass(frozen=True)
 class _Change:
-    """An input to change, and the positions of the training experiments in which to change it."""
+    """An input to change, and the positions of the training experiments in which to change it.
+
+    `slow` says that it has few samples, without jumps; it may come from a slow sensor.
+    """
 
     variable: str
     now: Interpolation
     positions: tuple[int, ...]
+    slow: bool = False
+
+    def shown(self, compared: ChangedSimulation) -> bool:
+        """Return whether the measurements show that the other interpolation is right."""
+        return compared.preferred and not (self.slow and compared.fall < LEAST_FALL_OF_SLOW)
 
 
 def _changes(
@@ -280,20 +300,26 @@ def _changes(
 ) -> list[_Change]:
     """Return the inputs that can be tested, first those whose interpolations differ most."""
     sizes: dict[tuple[str, Interpolation], list[tuple[float, int]]] = {}
+    shown: set[tuple[str, Interpolation]] = set()
     for position, e in enumerate(experiments):
         run = problem.experiments[e]
         for given in run.inputs:
-            size = _difference(given, run)
-            told = given.interpolation == "hold" or count_jumps(given.times, given.values)
-            told = told or few_samples(run, given) is not None
-            if size > 0.0 and told and not description.holds(given.variable):
-                key = given.variable, given.interpolation
+            size, key = _difference(given, run), (given.variable, given.interpolation)
+            few = few_samples(run, given)
+            told = given.interpolation == "hold" or count_jumps(given.times, given.values) > 0
+            told = told or (few is not None and few.at_changes)
+            if size > 0.0 and (told or few) and not description.holds(given.variable):
                 sizes.setdefault(key, []).append((size, position))
+                shown |= {key} if told else set()
     largest = sorted(sizes.items(), key=lambda item: -max(item[1])[0])[:MOST_INPUTS]
     each = MOST_SIMULATIONS // max(len(largest), 1)
     return [
-        _Change(name, now, tuple(sorted(p for _, p in sorted(found, reverse=True)[:each])))
-        for (name, now), found in largest
+        _Change(
+            *key,
+            tuple(sorted(p for _, p in sorted(found, reverse=True)[:each])),
+            slow=key not in shown,
+        )
+        for key, found in largest
     ]
 
 
@@ -373,4 +399,5 @@ def _preferred(
         experiments=len(runs),
         experiment=best[1],
         time=best[2],
+        slow=change.slow,
     )

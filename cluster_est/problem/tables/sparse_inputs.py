@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from cluster_est.problem.tables.jumps import (
     FEW_SAMPLES,
@@ -21,7 +22,7 @@ from cluster_est.problem.tables.jumps import (
     recorded_at_changes,
     regular,
 )
-from workers.messages import Experiment, FloatArray, Input
+from workers.messages import Experiment, FloatArray, Input, Output
 
 SPARSE = 3.0
 """Least number of samples of another signal, over those of an input with few samples."""
@@ -69,7 +70,8 @@ def few_samples(run: Experiment, given: Input) -> FewSamples | None:
     """
     values = given.values[_inside(run, given.times)]
     times = given.times[_inside(run, given.times)]
-    signals = [*run.outputs, *(each for each in run.inputs if each is not given)]
+    signals: list[Input | Output] = [*run.outputs]
+    signals += (each for each in run.inputs if each is not given)
     counts = [int(np.sum(_inside(run, each.times))) for each in signals]
     if not counts or not is_sparse(len(times), max(counts)) or not np.ptp(values):
         return None
@@ -84,7 +86,7 @@ def few_samples(run: Experiment, given: Input) -> FewSamples | None:
     )  # fmt: skip
 
 
-def _inside(run: Experiment, times: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _inside(run: Experiment, times: FloatArray) -> npt.NDArray[np.bool_]:
     return (times >= run.start) & (times <= run.stop)
 
 
