@@ -53,16 +53,16 @@ from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.results.interpolation import (
+    AtFit,
     FittedExperiments,
     PreferredInterpolation,
-    at_fit,
     compare_interpolations,
 )
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.find import record_faults
 from cluster_est.results.record_faults.fitted_records import FittedRecords
 from cluster_est.running.resources import Resources
-from workers.messages import Experiment, FloatArray, Outcome
+from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
@@ -173,14 +173,13 @@ def _other_interpolation(
     if fitter.predicts:
         return None
     fitter.enter("the interpolation of the inputs")
-    simulate = at_fit(base.problem, base.space.physical(base.x), resources, fitter.runner)
 
-    def counted(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
-        fitter.meter.full += len(runs)
-        return simulate(runs, positions)
+    def counted(simulations: int) -> None:
+        fitter.meter.full += simulations
 
+    at = AtFit.of(base.space, base.x, resources, fitter.runner, counted)
     fitted = FittedExperiments(base.problem, fitter.train, base.residuals, base.jacobian)
-    return compare_interpolations(fitted, counted)
+    return compare_interpolations(fitted, at)
 
 
 def grow(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from cluster_est.problem.tables.jumps import (
     answers_to_inputs,
     jump_findings,
 )
+from cluster_est.problem.tables.sparse_inputs import few_samples, sparse_inputs
 from cluster_est.problem.tables.stand_ins import stand_ins
 from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, thinned
 from cluster_est.problem.variables import driven_or_constant, idle_inputs, stays
@@ -47,6 +48,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
         *_stand_ins(problem),
         *_gaps_of_records(problem),
         *_bridged(problem, description),
+        *_sparse(problem, description),
         *_jumping(problem, description),
         *_rounded(problem),
         *_outlying(problem),
@@ -91,20 +93,30 @@ def _gaps_of_records(problem: Problem) -> list[CheckFinding]:
 
 def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a finding for each input with missing samples, with its longest gap."""
-    worst: dict[str, tuple[float, str]] = {}
+    found: dict[str, list[_Gaps]] = {}
     for each in problem.experiments:
         for given in each.inputs:
             held = given.interpolation == "hold" or description.holds(given.variable)
-            if held:  # it may be recorded only at changes
+            few = None if held else few_samples(each, given)
+            if held or (few is not None and not few.regular):  # maybe recorded only at changes
                 continue
-            found = _gaps(given.times, _rows(each, problem.gaps), each)
-            if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
-                worst[given.variable] = found
+            gaps = _gaps(given.times, _rows(each, problem.gaps), each)
+            if gaps is not None:
+                found.setdefault(given.variable, []).append(gaps)
     do = (
         'correct the column, exclude the gap with rows or windows, or set interpolation = "hold" '
         "if the signal keeps each value until the next sample"
     )
-    return [note(f"input {name}", said, do) for name, (_, said) in worst.items()]
+    return [note(f"input {name}", _said(gaps), do) for name, gaps in found.items()]
+
+
+def _sparse(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    """Return a finding for each linear input with much fewer samples than other signals."""
+    lines = []
+    for each in sparse_inputs(problem.experiments, description.holds):
+        kind = passed if each.slow else note
+        lines.append(kind("few samples", *each.finding(problem.columns)))
+    return lines
 
 
 def _stand_ins(problem: Problem) -> list[CheckFinding]:
@@ -202,8 +214,29 @@ def _rows(experiment: Experiment, gaps: Sequence[RecordGap]) -> FloatArray:
     return np.asarray(times[kept])
 
 
-def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[float, str] | None:
-    """Return the longest gap of an input, and a sentence on all gaps; None without gaps.
+@dataclass(frozen=True)
+class _Gaps:
+    """The gaps of an input in one experiment.
+
+    Attributes
+    ----------
+    experiment
+        Id of the experiment.
+    missing, rows
+        Number of measured times without a sample of the input, and of all measured times.
+    first, last
+        Ends of the longest gap in seconds.
+    """
+
+    experiment: str
+    missing: int
+    rows: int
+    first: float
+    last: float
+
+
+def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> _Gaps | None:
+    """Return the gaps of an input; None without gaps.
 
     A gap is longer than the usual interval, and other signals were measured in it. A lower sampling
     rate than that of other signals is not a gap, nor is an interval in which nothing was measured.
@@ -214,22 +247,28 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
     first, last = experiment.start, experiment.stop
     ends = [np.nextafter(first, -np.inf), *times.tolist(), np.nextafter(last, np.inf)]
     gaps = [
-        (after - before, before, after, int(np.sum((rows > before) & (rows < after))))
+        (after - before, before, after)
         for before, after in itertools.pairwise(ends)
-        if after - before > GAP * usual
+        if after - before > GAP * usual and np.any((rows > before) & (rows < after))
     ]
-    gaps = [gap for gap in gaps if gap[3]]
     if not gaps:
         return None
-    _, before, after, _ = max(gaps)
-    before, after = max(before, first), min(after, last)
-    missing = sum(gap[3] for gap in gaps)
-    said = (
-        f"{missing} of {len(rows)} samples are missing in experiment {experiment.id} and are "
-        f"interpolated; the longest gap is {after - before:.3g} s, from {before:.4g} to "
-        f"{after:.4g} s"
+    _, before, after = max(gaps)
+    missing = int(np.sum(~np.isin(rows, times)))
+    return _Gaps(experiment.id, missing, len(rows), max(before, first), min(after, last))
+
+
+def _said(gaps: Sequence[_Gaps]) -> str:
+    """Return a sentence on the gaps of an input in all experiments."""
+    worst = max(gaps, key=lambda each: each.last - each.first)
+    head, *rest = gaps
+    said = [f"{head.missing} of {head.rows} samples are missing in {head.experiment}"]
+    said += [f"{each.missing} of {each.rows} in {each.experiment}" for each in rest]
+    return (
+        f"{listed(said)}, and are interpolated; the longest gap is "
+        f"{worst.last - worst.first:.3g} s in {worst.experiment}, from {worst.first:.4g} to "
+        f"{worst.last:.4g} s"
     )
-    return after - before, said
 
 
 def long_records(config: Config, problem: Problem) -> list[CheckFinding]:

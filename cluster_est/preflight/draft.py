@@ -157,7 +157,7 @@ def draft(
     check_variables(known, description)
     found = sources(fmu, data, Reading() if reading is None else reading)
     known = {n: c for n, c in found.mapping.items() if n in description.variables} | {**known}
-    tables = _tables(found.tables, known.get(TIME_NAME, ""))
+    tables = _alike(_tables(found.tables, known.get(TIME_NAME, "")))
     check_columns(known, [columns for _, columns in tables])
     held_out = len(tables) - 1 if len(tables) > 1 else -1
     runs: list[DraftExperiment] = []
@@ -186,6 +186,19 @@ def _tables(given: Sequence[DraftSource], time: str) -> list[tuple[DraftSource, 
         if (each.path, each.reading) not in read:
             read[each.path, each.reading] = read_columns(each.path, time, each.reading)
     return [(each, read[each.path, each.reading]) for each in given]
+
+
+def _alike(
+    tables: Sequence[tuple[DraftSource, TableColumns]],
+) -> list[tuple[DraftSource, TableColumns]]:
+    """Mark a column with few values as recorded at changes, if it is so in another file."""
+    marked = {column.name for _, each in tables for column in each.signals if column.at_changes}
+
+    def alike(columns: TableColumns) -> TableColumns:
+        signals = [replace(c, at_changes=c.few and c.name in marked) for c in columns.signals]
+        return replace(columns, signals=tuple(signals))
+
+    return [(source, alike(columns)) for source, columns in tables]
 
 
 def _of_tests(run: DraftExperiment, *, alone: bool) -> list[DraftExperiment]:

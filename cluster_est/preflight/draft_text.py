@@ -265,12 +265,24 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) 
 
 def _held(column: TableColumn, name: str) -> str:
     """Return an input's column as TOML; a jumping input is held between samples."""
-    return f'{{ column = {name}, interpolation = "hold" }}' if column.jumps else name
+    return f'{{ column = {name}, interpolation = "hold" }}' if column.is_held else name
 
 
 def _why_held(column: TableColumn) -> str:
-    """Return why an input is held between samples, or ""."""
-    return 'it jumps; a fit reports if the data prefer "linear"' if column.jumps else ""
+    """Return why an input is held between samples, or might be; or ""."""
+    if column.jumps:
+        return 'it jumps; a fit reports if the data prefer "linear"'
+    if column.at_changes:
+        return (
+            "it seems to be recorded only when it changes; a fit reports if the data prefer "
+            '"linear"'
+        )
+    if column.few:
+        return (
+            "few of its cells have a value, and straight lines join these; if it keeps each value "
+            f'until the next, write {{ column = {inline(column.name)}, interpolation = "hold" }}'
+        )
+    return ""
 
 
 def _why_taken(match: ColumnMatch) -> str:

@@ -35,6 +35,10 @@ class TableColumn:
         Number of jumps, if it is constant or changes little between them.
     increases
         Whether it increases from row to row.
+    few
+        Whether it has much fewer values than another column.
+    at_changes
+        Whether it seems to be recorded only when it changes.
     """
 
     name: str
@@ -43,6 +47,13 @@ class TableColumn:
     noise: float = 0.0
     jumps: int = 0
     increases: bool = False
+    few: bool = False
+    at_changes: bool = False
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it probably keeps each value until the next sample."""
+        return self.jumps > 0 or self.at_changes
 
     @property
     def folded(self) -> str:

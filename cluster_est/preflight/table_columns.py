@@ -30,7 +30,7 @@ from cluster_est.preflight.table_times import (
 from cluster_est.problem.tables.cells import is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.gaps import long_steps
-from cluster_est.problem.tables.jumps import count_jumps
+from cluster_est.problem.tables.jumps import count_jumps, recorded_at_changes
 from cluster_est.problem.tables.long_tables import long_columns, wide
 from cluster_est.problem.tables.measured_table import (
     Column,
@@ -38,6 +38,7 @@ from cluster_est.problem.tables.measured_table import (
     Reading,
     UndecidedError,
 )
+from cluster_est.problem.tables.sparse_inputs import is_sparse
 from cluster_est.problem.tables.units import conversion, is_known
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
@@ -171,6 +172,7 @@ def _columns(
     refused: dict[str, str] = {}
     clocks = {*table.clocks.values(), *(() if time is None else time.names)}
     found: list[tuple[int, TableColumn]] = []
+    counts: list[int] = []
     others = dict(table.unusable)
     for name in table.columns:
         if name in clocks or name == split_by:
@@ -189,20 +191,38 @@ def _columns(
         times = None if time is None else time.times_of(table, name)
         rows = len(values) if times is None or len(times) != len(values) else -1
         plain, unit = split_unit(name)
-        jumps = count_jumps(np.arange(float(len(values))) if times is None else times, values)
+        clock = np.arange(float(len(values))) if times is None or rows >= 0 else times
+        there = np.isfinite(values) & np.isfinite(clock)
+        known = clock[there], values[there]
         column = TableColumn(
             name,
             plain,
             unit or table.units.get(name, ""),
             _noise(values),
-            jumps if time is None or rows < 0 else 0,
+            count_jumps(*known) if time is None or rows < 0 else 0,
             increases=_increases(values),
+            at_changes=time is not None and rows < 0 and recorded_at_changes(*known),
         )
         found.append((rows, column))
+        counts.append(int(there.sum()))
+    found = _with_few(found, counts)
     if time is not None:
         return [column for rows, column in found if rows < 0], others, refused
     usual = Counter(rows for rows, _ in found).most_common(1)
     return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
+
+
+def _with_few(
+    columns: Sequence[tuple[int, TableColumn]], counts: Sequence[int]
+) -> list[tuple[int, TableColumn]]:
+    """Mark columns with much fewer values than another; only these may be records of changes."""
+    most = max(counts, default=0)
+    return [
+        (rows, replace(column, few=True))
+        if is_sparse(count, most)
+        else (rows, replace(column, at_changes=False))
+        for (rows, column), count in zip(columns, counts, strict=True)
+    ]
 
 
 def _not_numbers(column: Column) -> str:

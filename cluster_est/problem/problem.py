@@ -17,6 +17,7 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sparse_inputs import sparse_inputs
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
 from cluster_est.problem.variables import (
     check_effects,
@@ -198,13 +199,17 @@ class Problem:
         ModelError, ProblemError
             As `describe`, or if the FMU cannot be simulated at the experiments' times.
         """
-        jumps = jump_findings(
-            self.experiments,
-            lambda name: self.describe().holds(name),
-            self.columns,
-            lambda name: self.describe().unit_of(name),
-        )
-        return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in jumps))
+
+        def holds(name: str) -> bool:
+            return self.describe().holds(name)
+
+        def unit_of(name: str) -> str:
+            return self.describe().unit_of(name)
+
+        found = [*jump_findings(self.experiments, holds, self.columns, unit_of)]
+        sparse = sparse_inputs(self.experiments, holds)
+        found += [each.finding(self.columns) for each in sparse if each.at_changes]
+        return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in found))
 
     def model_notes(self) -> tuple[str, ...]:
         """Return only the notes on the simulation of the FMU; raises as `notes`."""
@@ -221,7 +226,11 @@ class Problem:
     @property
     def columns(self) -> dict[str, str]:
         """The known columns of the tables, by the keys of a config."""
-        return {key: column for table in reversed(self.tables) for key, column in table.named}
+        return {
+            key: column
+            for table in reversed(self.tables)
+            for key, column in (*table.named, *table.clocks)
+        }
 
     @cached_property
     def data_findings(self) -> tuple[tuple[str, str], ...]:

@@ -126,8 +126,10 @@ def fit_notes(result: Result) -> tuple[str, ...]:
         notes += result.shooting.sentences
     notes += initial_notes(problem, result.simulations)
     if result.diagnostics is not None:
-        notes += residual_sentences(result.diagnostics)
+        other = result.interpolation
+        blamed = "" if other is None else f"input {other.variable} has the wrong interpolation, or "
         notes += interpolation_sentences(result)
+        notes += residual_sentences(result.diagnostics, blamed)
     notes += observation_notes(problem, result.simulations)
     notes += prior_sentences(problem, result.estimates)
     if result.solver_error is not None:

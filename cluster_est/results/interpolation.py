@@ -1,29 +1,33 @@
 """Tests whether the measurements prefer another interpolation of an input: hold or linear.
 
 A file contains only the samples of an input, not the values between them. The outputs can show
-these: at the estimates, the experiments are simulated again with the other interpolation.
+these: at the estimates, the experiments are simulated again with the other interpolation. If both
+differ much, the estimates of one do not suit the other; then the parameters are fitted again.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from cluster_est.errors import ClusterEstError
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
-from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.problem.tables.jumps import count_jumps, interpolated, jump_times
+from cluster_est.problem.tables.sparse_inputs import few_samples
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import free_jacobian, training_residuals
-from cluster_est.results.solver_error.measure import simulate_with_solver
-from cluster_est.running.resources import Resources
+from cluster_est.results.solver_error.measure import runner_beside, simulate_with_solver
+from cluster_est.running.resources import Budget, Resources
 from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.changed_simulation import ChangedSimulation, compare_simulations
 from cluster_est.statistics.records import make_records
 from workers.fmu.description import ModelDescription
@@ -35,9 +39,87 @@ MOST_INPUTS = 4
 """Largest number of tested inputs; those are chosen whose two interpolations differ most."""
 MOST_ENTRIES = 20_000_000
 """Largest number of entries of a Jacobian for this test."""
+REFIT = LeastSquares(trials=1, max_iterations=15, ftol=1e-4, xtol=1e-5, differences="forward")
+MOST_SECONDS = 300.0
+"""Largest time of the fits with another interpolation of an input."""
+LEAST_FALL_OF_REFIT = 0.5
+"""Least relative decrease of the sum of squares by a refit; with other estimates, the other
+interpolation may compensate a part of another error."""
+LEAST_FALL_OF_SLOW = 0.65
+"""Least decrease for an input with few samples but without jumps. A missing delay of about one of
+its sampling intervals looks like a hold, but leaves a larger error."""
 
-Simulate = Callable[[tuple[Experiment, ...], list[int]], list[Outcome]]
-"""Simulates changed experiments with the parameter values of the experiments at these positions."""
+
+@dataclass(frozen=True)
+class AtFit:
+    """The estimates of a fit, at which changed experiments are simulated.
+
+    Attributes
+    ----------
+    problem
+        The fitted problem.
+    values : (experiments, names)
+        Physical values of each training experiment.
+    estimates
+        Physical values by label.
+    resources, runner
+        See `simulate_with_solver`.
+    count
+        Receives the number of simulations.
+    """
+
+    problem: Problem
+    values: FloatArray = field(repr=False)
+    estimates: Mapping[str, float]
+    resources: Resources
+    runner: Runner = field(repr=False)
+    count: Callable[[int], None] = field(default=lambda _: None, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        space: SearchSpace,
+        x: FloatArray,
+        resources: Resources,
+        runner: Runner,
+        count: Callable[[int], None] = lambda _: None,
+    ) -> Self:
+        """Return the estimates at a point of a search space of all training experiments."""
+        return cls(
+            space.problem, space.physical(x), space.estimates(x), resources, runner, count
+        )  # fmt: skip
+
+    def simulate(self, runs: tuple[Experiment, ...], positions: Sequence[int]) -> list[Outcome]:
+        """Simulate changed experiments with the values of the experiments at these positions."""
+        self.count(len(runs))
+        return simulate_with_solver(
+            self.problem, runs, self.values[list(positions)], self.problem.model.solver,
+            "residuals", self.resources, beside=self.runner,
+        )  # fmt: skip
+
+    def refit(self, runs: tuple[Experiment, ...]) -> list[Outcome]:
+        """Fit changed experiments, from the estimates and from the start values.
+
+        Returns their outcomes at the best point; none if they cannot be fitted or simulated.
+        """
+        problem = replace(self.problem, experiments=runs)
+        every = tuple(range(len(runs)))
+        spaces = [make_space(problem, every, starts=known) for known in (self.estimates, {})]
+        if not all(space.size for space in spaces) or spaces[0].constraint_names:
+            return []
+        solver, budget = problem.model.solver, Budget(seconds=MOST_SECONDS)
+        with runner_beside(problem, runs, solver, self.resources, self.runner, budget) as runner:
+            found = runner.run([SearchRequest("interpolation", REFIT, space) for space in spaces])
+            fits = [
+                (each.cost, space.physical(each.x))
+                for each, space in zip(found, spaces, strict=True)
+                if np.isfinite(each.cost)
+            ]
+            self.count(runner.simulations)
+            if not fits:
+                return []
+            _, values = min(fits, key=lambda fit: fit[0])
+            return runner.simulate(values, every, "residuals", "interpolation", problem.effects)
 
 
 @dataclass(frozen=True)
@@ -79,6 +161,8 @@ class PreferredInterpolation:
     experiment, time
         The experiment, and the time of the jump, after which most of the improvement is; the time
         is NaN for an input without jumps.
+    slow
+        Whether the input has few samples, without jumps, as from a slow sensor.
     """
 
     variable: str
@@ -90,6 +174,7 @@ class PreferredInterpolation:
     experiments: int
     experiment: str
     time: float
+    slow: bool = False
 
     @property
     def sentence(self) -> str:
@@ -97,11 +182,18 @@ class PreferredInterpolation:
         held = self.preferred == "hold"
         how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
+        doubt = (
+            "; a delay of about one of its sampling intervals that is missing from the model looks "
+            "alike"
+            if self.slow
+            else ""
+        )
+        fall = "more than 99" if self.fall > 0.99 else f"{100.0 * self.fall:.2g}"
         return (
             f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
-            f"{100.0 * self.fall:.2g} %, most of it in experiment {self.experiment!r}{after} (the "
+            f"{fall} %, most of it in experiment {self.experiment!r}{after} (the "
             f"best mixture has {self.share:.2f} +- {self.error:.2g}, where 0 is the interpolation "
-            f"of this fit and 1 the other one); set {self.key} and fit again"
+            f"of this fit and 1 the other one); set {self.key} and fit again{doubt}"
         )
 
 
@@ -143,61 +235,64 @@ def preferred_interpolation(
     if jacobian is None:
         return None
     fitted = FittedExperiments(problem, space.experiments, residuals, jacobian)
-    values = space.physical(solution.x)
-    return compare_interpolations(fitted, at_fit(problem, values, resources, runner))
+    return compare_interpolations(fitted, AtFit.of(space, solution.x, resources, runner))
 
 
-def at_fit(problem: Problem, values: FloatArray, resources: Resources, runner: Runner) -> Simulate:
-    """Return a function that simulates changed experiments; `values` are (experiments, names)."""
+def compare_interpolations(fitted: FittedExperiments, at: AtFit) -> PreferredInterpolation | None:
+    """Simulate experiments with the other interpolation of some inputs.
 
-    def simulate(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
-        return simulate_with_solver(
-            problem, runs, values[positions], problem.model.solver, "residuals", resources,
-            beside=runner,
-        )  # fmt: skip
-
-    return simulate
-
-
-def compare_interpolations(
-    fitted: FittedExperiments, simulate: Simulate
-) -> PreferredInterpolation | None:
-    """Simulate experiments with the other interpolation of each input with jumps or a hold.
-
-    For each input, only the records are simulated in which the two interpolations differ most, and
-    all inputs share `MOST_SIMULATIONS`. `compare_simulations` decides. If several inputs are found,
-    only the one with the clearest result is returned, because the others may only resemble it.
+    These inputs have jumps, a hold, or much fewer samples than other signals. For each input, only
+    the records are simulated in which the two interpolations differ most, and all inputs share
+    `MOST_SIMULATIONS`. `compare_simulations` decides. If several inputs are found, only the one
+    with the clearest result is returned, because the others may only resemble it.
     """
     problem = fitted.problem
     changes = _changes(problem, problem.describe(), fitted.experiments)
     if not changes:
         return None
-    runs = tuple(
-        _changed(problem.experiments[fitted.experiments[position]], change.variable)
-        for change in changes
-        for position in change.positions
-    )
+    runs = tuple(run for change in changes for run in _changed_runs(fitted, change))
     try:
-        outcomes = iter(simulate(runs, [p for change in changes for p in change.positions]))
+        outcomes = iter(at.simulate(runs, [p for change in changes for p in change.positions]))
+        found: list[tuple[float, PreferredInterpolation]] = []
+        for change in changes:
+            own = [next(outcomes) for _ in change.positions]
+            compared = _refitted(fitted, change, _compared(fitted, change, own), at)
+            if compared is not None and change.shown(compared):
+                strength = compared.share / compared.error if compared.error else np.inf
+                found.append((strength, _preferred(fitted, change, compared)))
     except ClusterEstError:  # then only this hint is missing
         return None
-    found: list[tuple[float, PreferredInterpolation]] = []
-    for change in changes:
-        own = [next(outcomes) for _ in change.positions]
-        compared = _compared(fitted, change, own)
-        if compared is not None and compared.preferred:
-            strength = compared.share / compared.error if compared.error else np.inf
-            found.append((strength, _preferred(fitted, change, compared)))
     return max(found, key=lambda each: each[0])[1] if found else None
+
+
+def _refitted(
+    fitted: FittedExperiments, change: _Change, compared: ChangedSimulation | None, at: AtFit
+) -> ChangedSimulation | None:
+    """Compare with a refit if the fitted interpolation is rejected, but the other one not shown.
+
+    The comparison accounts for small changes of the parameters only.
+    """
+    if compared is None or change.shown(compared) or not compared.rejected:
+        return compared
+    again = _compared(fitted, change, at.refit(_changed_runs(fitted, change)))
+    return again if again is not None and again.fall > LEAST_FALL_OF_REFIT else compared
 
 
 @dataclass(frozen=True)
 class _Change:
-    """An input to change, and the positions of the training experiments in which to change it."""
+    """An input to change, and the positions of the training experiments in which to change it.
+
+    `slow` says that it has few samples, without jumps; it may come from a slow sensor.
+    """
 
     variable: str
     now: Interpolation
     positions: tuple[int, ...]
+    slow: bool = False
+
+    def shown(self, compared: ChangedSimulation) -> bool:
+        """Return whether the measurements show that the other interpolation is right."""
+        return compared.preferred and not (self.slow and compared.fall < LEAST_FALL_OF_SLOW)
 
 
 def _changes(
@@ -205,19 +300,26 @@ def _changes(
 ) -> list[_Change]:
     """Return the inputs that can be tested, first those whose interpolations differ most."""
     sizes: dict[tuple[str, Interpolation], list[tuple[float, int]]] = {}
+    shown: set[tuple[str, Interpolation]] = set()
     for position, e in enumerate(experiments):
         run = problem.experiments[e]
         for given in run.inputs:
-            size = _difference(given, run)
-            told = given.interpolation == "hold" or count_jumps(given.times, given.values)
-            if size > 0.0 and told and not description.holds(given.variable):
-                key = given.variable, given.interpolation
+            size, key = _difference(given, run), (given.variable, given.interpolation)
+            few = few_samples(run, given)
+            told = given.interpolation == "hold" or count_jumps(given.times, given.values) > 0
+            told = told or (few is not None and few.at_changes)
+            if size > 0.0 and (told or few) and not description.holds(given.variable):
                 sizes.setdefault(key, []).append((size, position))
+                shown |= {key} if told else set()
     largest = sorted(sizes.items(), key=lambda item: -max(item[1])[0])[:MOST_INPUTS]
     each = MOST_SIMULATIONS // max(len(largest), 1)
     return [
-        _Change(name, now, tuple(sorted(p for _, p in sorted(found, reverse=True)[:each])))
-        for (name, now), found in largest
+        _Change(
+            *key,
+            tuple(sorted(p for _, p in sorted(found, reverse=True)[:each])),
+            slow=key not in shown,
+        )
+        for key, found in largest
     ]
 
 
@@ -230,6 +332,12 @@ def _difference(given: Input, run: Experiment) -> float:
         return 0.0
     square = np.add.reduce(np.diff(values / span) ** 2 * np.diff(times))
     return float(square) / 3.0 / (run.stop - run.start)
+
+
+def _changed_runs(fitted: FittedExperiments, change: _Change) -> tuple[Experiment, ...]:
+    """Return the experiments of a change with the other interpolation of its input."""
+    _, runs = _rows(fitted, change)
+    return tuple(_changed(run, change.variable) for run in runs)
 
 
 def _changed(run: Experiment, variable: str) -> Experiment:
@@ -247,7 +355,7 @@ def _compared(
 ) -> ChangedSimulation | None:
     """Compare both interpolations in the simulated experiments; None if a simulation failed."""
     known = [each.residuals for each in outcomes if each.ok and each.residuals is not None]
-    if len(known) < len(outcomes):
+    if len(known) < len(change.positions):
         return None
     rows, runs = _rows(fitted, change)
     changed, records = np.concatenate(known), make_records(runs)
@@ -291,4 +399,5 @@ def _preferred(
         experiments=len(runs),
         experiment=best[1],
         time=best[2],
+        slow=change.slow,
     )

@@ -59,6 +59,11 @@ class ChangedSimulation:
         return 1.0 - self.after / self.before
 
     @property
+    def rejected(self) -> bool:
+        """Whether the fitted simulation is rejected, whatever the change is."""
+        return self.share > REJECTED * self.error
+
+    @property
     def preferred(self) -> bool:
         """Whether the fitted simulation is rejected, and the changed one is better and plausible.
 
@@ -66,7 +71,7 @@ class ChangedSimulation:
         """
         off = abs(self.share - 1.0)
         return (
-            self.share > REJECTED * self.error
+            self.rejected
             and self.share - 0.5 > BETTER * self.error
             and (off <= NEAR or off <= COMPATIBLE * self.error)
             and self.fall > LEAST_FALL

@@ -126,10 +126,13 @@ ADVICE = (
 )
 
 
-def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
-    """Return sentences on errors of the model, sigmas and intervals; none if there are none."""
+def residual_sentences(diagnostics: ResidualDiagnostics, blamed: str = "") -> tuple[str, ...]:
+    """Return sentences on errors of the model, sigmas and intervals; none if there are none.
+
+    `blamed` is another cause that is known, such as "the clock is wrong, or ".
+    """
     found = diagnostics.findings
-    reason = "" if diagnostics.converged else "the search did not converge, or "
+    reason = blamed + ("" if diagnostics.converged else "the search did not converge, or ")
     missing = [o for o in found if o.structure is ResidualStructure.MISSING]
     related = [o for o in found if o.structure is ResidualStructure.AUTOCORRELATED]
     sized = [o for o in related if not o.too_narrow]

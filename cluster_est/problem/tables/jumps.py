@@ -41,6 +41,15 @@ LEAST_NOISE_OF_RANGE = 0.01
 """Least noise of a signal over its range, for the detection of isolated samples."""
 REGULAR = 0.1
 """Largest range of the times between changes of a staircase, over their median."""
+FEW_SAMPLES = 6
+"""Least number of samples that show whether a signal is recorded only when it changes."""
+NEAR_USUAL, REGULAR_SHARE = 0.1, 0.75
+"""Samples are regular if at least this share of their intervals is near the median, to within the
+first number times the median."""
+DIFFERENT_SHARE, LEAST_STEP, SMOOTH = 0.9, 0.1, 0.5
+"""A signal that is recorded only when it changes differs from sample to sample with at least this
+share; its median change is at least the second number times its range; and the median distance of a
+sample from the line through its neighbours is at least the third number times the median change."""
 
 
 def count_jumps(times: FloatArray, values: FloatArray) -> int:
@@ -107,9 +116,40 @@ def _while_moving(values: FloatArray, wide: npt.NDArray[np.bool_]) -> npt.NDArra
     return found if moves and len(found) >= LEAST_JUMPS_WHILE_MOVING else found[:0]
 
 
+def regular(times: FloatArray) -> bool:
+    """Return whether most intervals between samples have the same length; False for few samples."""
+    if len(times) < FEW_SAMPLES:
+        return False
+    intervals = np.diff(times)
+    usual = float(np.median(intervals))
+    return bool(np.mean(np.abs(intervals - usual) <= NEAR_USUAL * usual) >= REGULAR_SHARE)
+
+
+def recorded_at_changes(times: FloatArray, values: FloatArray) -> bool:
+    """Return whether a signal seems to be recorded only when it changes, and to jump then.
+
+    Its samples are irregular, its value is another one at each sample, and lines through the
+    neighbours of a sample do not lead to it. A slowly sampled temperature is regular or smooth.
+    """
+    if len(values) < FEW_SAMPLES or regular(times) or not np.isfinite(values).all():
+        return False
+    if np.mean(_changes(values)) < DIFFERENT_SHARE:
+        return False
+    usual = float(np.median(np.abs(np.diff(values))))
+    between = (times[1:-1] - times[:-2]) / (times[2:] - times[:-2])
+    line = values[:-2] + between * (values[2:] - values[:-2])
+    off = float(np.median(np.abs(values[1:-1] - line)))
+    return usual >= LEAST_STEP * float(np.ptp(values)) and off >= SMOOTH * usual
+
+
 def jump_times(given: Input) -> FloatArray:
-    """Return the times at which the jumps of an input begin."""
+    """Return the times at which the jumps of an input begin.
+
+    If a held input is recorded only when it changes, each change is a jump.
+    """
     jumps = _jumps(given.times, given.values)
+    if given.interpolation == "hold" and recorded_at_changes(given.times, given.values):
+        jumps = np.flatnonzero(_changes(given.values))
     return given.times[jumps if given.interpolation == "linear" else jumps + 1]
 
 
@@ -250,7 +290,7 @@ def jump_findings(
     """
     return tuple(
         (
-            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps between samples in "
+            f"input {name}{of_column(name, columns)} jumps between samples in "
             f"{_where(records, unit_of(name))}; linear interpolation turns each jump into a ramp, "
             "and a ramp can look like a delay, a lag or a rate limit of the input",
             f"if the real input keeps each value until the next sample, set "
@@ -269,11 +309,14 @@ def _fill_in(variable: str, columns: Mapping[str, str]) -> str:
 
 def interpolated(variable: str, columns: Mapping[str, str], how: Interpolation) -> str:
     """Return the config line that sets the interpolation of an input."""
-    column = columns.get(f"inputs.{variable}", "COLUMN")
-    return f"{dotted('inputs', variable)} = {inline({'column': column, 'interpolation': how})}"
+    value = {"column": columns.get(f"inputs.{variable}", "COLUMN"), "interpolation": how}
+    clock = columns.get(f"inputs.{variable}.time")
+    return f"{dotted('inputs', variable)} = {inline(value | ({'time': clock} if clock else {}))}"
 
 
-def _of_column(column: str) -> str:
+def of_column(variable: str, columns: Mapping[str, str]) -> str:
+    """Return the column of an input as a text in brackets; "" if it is not known."""
+    column = columns.get(f"inputs.{variable}", "")
     return f" (column {inline(column)})" if column else ""
 
 

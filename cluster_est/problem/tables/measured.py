@@ -434,6 +434,8 @@ class TableSource:
         (column, unit) for units that the file gives with the names.
     gaps
         Gaps in the outputs.
+    clocks
+        (config key, column) of each input with its own times, such as ("inputs.u.time", "t_u").
     """
 
     experiment: str
@@ -450,6 +452,7 @@ class TableSource:
     notes: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
     gaps: tuple[RecordGap, ...] = ()
+    clocks: tuple[tuple[str, str], ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, and return its unused columns.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.results.solver_error.finer_solver import SolverScale, solver_scale
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Budget, Resources
 from cluster_est.running.runner import Runner
 from workers.messages import Experiment, FloatArray, Outcome, Output, ResetPolicy, Solver, Want
 
@@ -176,23 +177,52 @@ def simulate_with_solver(
 ) -> list[Outcome]:
     """Simulate experiments with another solver, in a separate process if the system allows it.
 
-    The simulations are not logged.
+    Parameters
+    ----------
+    problem, runs, solver, resources, beside
+        See `runner_beside`.
+    values : (runs, parameters)
+        Physical values of the model's parameters.
+    want
+        The kind of result.
+
+    Raises
+    ------
+    ClusterEstError
+        If no process can be started, or the FMU cannot be loaded.
+    """
+    with runner_beside(problem, runs, solver, resources, beside) as runner:
+        return runner.simulate(
+            values, tuple(range(len(runs))), want, "numerical error", problem.effects
+        )
+
+
+@contextmanager
+def runner_beside(
+    problem: Problem,
+    runs: tuple[Experiment, ...],
+    solver: Solver,
+    resources: Resources,
+    beside: Runner | None,
+    budget: Budget | None = None,
+) -> Iterator[Runner]:
+    """Start a separate process, if the system allows it, whose simulations are not logged.
 
     Parameters
     ----------
     problem
         Gives the model and the effects.
     runs
-        Experiments of the problem.
-    values : (runs, parameters)
-        Physical values of the model's parameters.
-    solver, want
-        The solver, and the kind of result.
+        Experiments of the problem; they may be changed.
+    solver
+        The solver.
     resources
         Limits of a simulation and of FMU instances.
     beside
         Runner whose first worker frees its instance first, if the number of instances is limited;
         None if there are no workers yet.
+    budget
+        Budget of the searches.
 
     Raises
     ------
@@ -206,9 +236,7 @@ def simulate_with_solver(
     model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")
     with kind.open(model, runs, 1, None, resources.limits) as pool:
-        return Runner(pool).simulate(
-            values, tuple(range(len(runs))), want, "numerical error", problem.effects
-        )
+        yield Runner(pool, budget)
 
 
 def _of_output(

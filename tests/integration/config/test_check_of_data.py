@@ -152,13 +152,13 @@ def rounded(sigma):
         (
             run(TRUTH | {"V": missing([50, *range(100, 160)])}),
             "input V",
-            "61 of 401 samples are missing.* run .*longest gap is 0.305 s, from 0.495 to 0.8 s",
+            "61 of 401 samples are missing in run, .*gap is 0.305 s in run, from 0.495 to 0.8 s",
             "interpolation",
         ),
         (
             run(TRUTH | {"V": missing(TIMES < 0.2)}),
             "input V",
-            "40 of 401 samples are missing.*longest gap is 0.2 s, from 0 to 0.2 s",
+            "40 of 401 samples are missing.*longest gap is 0.2 s in run, from 0 to 0.2 s",
             "",
         ),
         (
@@ -243,6 +243,34 @@ def test_the_key_for_times_names_the_column_where_that_is_known(time, sample_tim
     given = replace(problem(run(TRUTH | {"t": TIMES / 60.0})), tables=(source,))
     (said,) = findings(given, "time")
     assert said.do == f"write {key}"
+
+
+def test_missing_samples_are_counted_in_each_experiment():
+    """Whatever the length of a gap: each empty cell counts."""
+    every = np.array([i for i in range(0, 401, 2) if not 100 <= i < 120])
+    gappy = missing(np.setdiff1d(np.arange(401), every))
+    runs = [run(TRUTH | {"V": gappy}), run(TRUTH | {"V": missing([50, 51])}, id="other")]
+    (said,) = findings(problem(*runs), "input V")
+    counts = "210 of 401 samples are missing in run, 2 of 401 in other, and are interpolated"
+    assert f"{counts}; the longest gap is 0.11 s in run, from 0.49 to 0.6 s" in said.found
+
+
+def test_an_input_with_few_samples_is_named_with_its_key():
+    uneven = np.cumsum([0, 21, 47, 30, 62, 25, 70, 41, 33, 55])
+    kept = missing(np.setdiff1d(np.arange(401), uneven))
+    jumping = np.where(np.isnan(kept), np.nan, np.sin(TIMES * 1e3))
+    for values, verdict, words in (
+        (jumping, "note", "has 10 samples in run, where current has 401; its times are irregular"),
+        (missing(np.arange(401) % 40 > 0) + TIMES, "ok", "11 samples in run, where current has"),
+    ):
+        given = problem(run(TRUTH | {"V": values}))
+        (said,) = findings(given, "few samples")
+        assert said.verdict == verdict
+        assert words in said.found
+        assert 'inputs.V = { column = "COLUMN", interpolation = "hold" }, if' in said.do
+        assert findings(given, "input V") == []
+    held = problem(run(TRUTH | {"V": jumping}, inputs=HELD))
+    assert findings(held, "few samples") == findings(held, "input V") == []
 
 
 def test_an_input_that_another_experiment_has_is_no_alarm():

@@ -240,6 +240,38 @@ def test_an_input_that_jumps_keeps_each_sample(written, tmp_path):
     assert f"fill in {held}" in said
 
 
+@pytest.mark.parametrize("long", [False, True])
+def test_an_input_that_is_recorded_only_when_it_changes_is_held(written, tmp_path, long):
+    """In all files, if one of them shows it; the cells of a joined table are empty between."""
+    for name, rows in (("a", [0, 4, 11, 15, 24, 31, 36, 47]), ("b", [0, 9, 30])):
+        values = dict(zip(rows, [0.0, 3.0, -2.0, 5.0, 1.0, -4.0, 2.5, 0.5], strict=False))
+        if long:
+            named = [(t, "y", f) for t, f in zip(TIMES, FORCE, strict=True)]
+            named += [(TIMES[row], "F", value) for row, value in values.items()]
+            columns = zip(*sorted(named), strict=True)
+            table(tmp_path / f"{name}.csv", zip_named(columns))
+        else:
+            force = [values.get(row, "") for row in range(len(TIMES))]
+            table(tmp_path / f"{name}.csv", time=TIMES, F=force, y=FORCE)
+    text, _, _ = written("a.csv", "b.csv")
+    assert "it seems to be recorded only when it changes; a fit reports" in text
+    for run in ce.read_problem("first.toml").experiments:
+        assert run.inputs[0].interpolation == "hold"
+
+
+def zip_named(columns):
+    """The columns of a long table."""
+    return dict(zip(("time", "signal", "value"), columns, strict=True))
+
+
+def test_a_slowly_sampled_input_is_joined_by_lines_and_that_is_said(written, tmp_path):
+    cells = [FORCE[row] if row % 5 == 0 else "" for row in range(len(TIMES))]
+    text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=cells, y=FORCE))
+    assert tree["experiments"][0]["inputs"]["F"] == "F"
+    assert "few of its cells have a value, and straight lines join these" in text
+    assert 'until the next, write { column = "F", interpolation = "hold" }' in text
+
+
 def test_columns_that_nothing_uses_are_proposed_as_signals(written, tmp_path):
     columns = {"time": TIMES, "F": FORCE, "y": FORCE, "Oil temp. [degC]": FORCE, "k": FORCE}
     text, _, _ = written(table(tmp_path / "a.parquet", columns, on=FORCE > 0.5))

@@ -76,6 +76,63 @@ def test_the_interpolation_that_the_data_prefer_is_named(kind, truth, how, noise
     assert right.cost == pytest.approx((1.0 - found.interpolation.fall) * found.cost, rel=0.05)
 
 
+def with_few_samples(truth, how, values):
+    """Two runs of the spring; of its force, only some samples were recorded."""
+    given = spring("a staircase", "hold", how)
+    m, k, c = TRUE["m"], TRUE["k"], TRUE["c"]
+    system = StateSpace([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
+    runs = []
+    for number, run in enumerate(given.experiments):
+        generator = np.random.default_rng([7, number])
+        rows, recorded = values(generator)
+        held = recorded[np.searchsorted(rows, np.arange(300), side="right") - 1]
+        pushed = held if truth == "hold" else np.interp(np.arange(300), rows, recorded)
+        y = lsim(system, pushed, TIMES, X0=[0.1, 0.0], interp=truth == "linear")[1]
+        y = y + 0.01 * np.std(y) * generator.standard_normal(300)
+        inputs = (ce.Input("F", TIMES[rows], recorded, how),)
+        runs.append(replace(run, inputs=inputs, outputs=(ce.Output("y", TIMES, y),)))
+    return replace(given, experiments=tuple(runs))
+
+
+def changes(generator):
+    """A record of changes: irregular times, and another value at each of them."""
+    rows = np.concatenate([[0], np.cumsum(generator.integers(5, 30, 30))])
+    return rows[rows < 300], 10.0 * generator.uniform(-1.0, 1.0, int(np.sum(rows < 300)))
+
+
+def slow_sensor(generator):
+    rows = np.arange(0, 300, 20)
+    return rows, np.sin(0.03 * rows + generator.uniform(0.0, 6.0))
+
+
+@pytest.mark.parametrize("values", [changes, slow_sensor])
+@pytest.mark.parametrize("truth", ["hold", "linear"])
+def test_an_input_with_few_samples_is_tested_too(values, truth):
+    other = "linear" if truth == "hold" else "hold"
+    found = ce.fit(with_few_samples(truth, other, values), resources=ONE)
+    assert found.interpolation is not None
+    assert (found.interpolation.preferred, found.interpolation.slow) == (
+        truth,
+        values is slow_sensor and truth == "hold",
+    )
+    (said,) = [note for note in found.notes if "fits better with input F" in note]
+    assert ("a delay of about one" in said) is found.interpolation.slow
+    right = ce.fit(with_few_samples(truth, truth, values), resources=ONE)
+    assert right.interpolation is None
+    assert right.cost < 0.1 * found.cost
+    known = {each.label: each.value for each in right.estimates}
+    assert known["k"] == pytest.approx(TRUE["k"], rel=0.02)
+
+
+def test_the_wrong_interpolation_is_named_before_the_model():
+    found = ce.fit(with_few_samples("hold", "linear", changes), resources=ONE)
+    better, missing = (
+        [i for i, note in enumerate(found.notes) if words in note]
+        for words in ("fits better with input F", "input F has the wrong interpolation, or")
+    )
+    assert better < missing
+
+
 def test_what_was_fitted_is_right_and_nothing_is_said():
     for seed, how in enumerate(("linear", "hold")):
         found = ce.fit(spring("a sine with steps", how, how, seed=seed), resources=ONE)
