@@ -349,6 +349,13 @@ def _shared_noise(runs: Sequence[DraftExperiment]) -> dict[str, float]:
     return {name: median(own[name].noise for own in compared) for name in named[0]} if runs else {}
 
 
+GUESSED_SIGMA = (
+    "the sigmas above only weight the outputs; replace them all by the noise of your sensors, then "
+    "remove this line"
+)
+"""Comment on guessed sigmas."""
+
+
 def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
     """Yield guesses of the noise of each output, which determine the weights of the outputs."""
     compared = _compared(run)
@@ -359,8 +366,10 @@ def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
             continue
         line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
         why = "standard deviation of its noise, a guess"
-        weighs = f"{line}  # {why}; it determines the weight of the output"
-        yield weighs if several else f"# {line}  # {why}"
+        weighs = f"{line}  # {why}, for the weight of the output"
+        yield weighs if several else f"# {line}  # {why}; give it only if you know the sensor"
+    if several:
+        yield f"sigma_known = false  # {GUESSED_SIGMA}"
 
 
 def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:

@@ -38,7 +38,10 @@ from cluster_est.problem.tables.measured_table import (
     Reading,
     UndecidedError,
 )
+from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.tables.units import conversion, is_known
+from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
@@ -46,6 +49,8 @@ LEAST_GUESSED_NOISE = 1e-3
 """Smallest guess of the noise, as a share of a signal's standard deviation."""
 LEAST_SAMPLES_FOR_NOISE = 10
 """Smallest number of samples from which noise is estimated."""
+LEAST_EQUAL_VALUES = 5
+"""Smallest number of successive equal values that say nothing about the noise."""
 
 
 @dataclass(frozen=True)
@@ -219,16 +224,23 @@ def _why_none(others: Mapping[str, str]) -> str:
 
 
 def _noise(values: FloatArray) -> float:
-    """Estimate the standard deviation of a signal's noise from second differences.
+    """Estimate the standard deviation of a signal's noise from its differences.
 
-    The second differences of a smooth signal are small. Their median is used, so that a few jumps
-    have no influence. The result is at least a fraction of the signal's standard deviation, because
-    no sensor is more accurate.
+    Numbers that stand for missing values are left out, and so are stretches of equal values, as of
+    a saturated sensor. The result is at least a fraction of the signal's standard deviation,
+    because no sensor is more accurate.
     """
     finite = values[np.isfinite(values)]
+    finite = finite[~is_missing(finite, [each.value for each in stand_ins(finite)])]
+    ends = np.flatnonzero(np.diff(finite, prepend=np.nan, append=np.nan) != 0.0)
+    lengths = np.diff(ends)
+    moving = finite[np.repeat(lengths < LEAST_EQUAL_VALUES, lengths)]
+    if len(moving) >= LEAST_SAMPLES_FOR_NOISE:
+        finite = moving
     if len(finite) < LEAST_SAMPLES_FOR_NOISE:
         return 0.0
-    spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
+    whole = OutputRecord(0, 0, slice(0, len(finite)), np.arange(float(len(finite))))
+    spread = float(estimate_noise(finite, StackedRecords(("",), (whole,)), finite)[0])
     return max(spread, LEAST_GUESSED_NOISE * float(np.std(finite)))
 
 

@@ -66,6 +66,7 @@ class TestWhereColumnsMatch:
         assert '# x = { start = 0.0, per = "experiment" }' in text
         assert "sigma" not in tree["experiment_defaults"]  # of one output alone
         assert "# sigma.y = " in text
+        assert "sigma_known" not in text
         result = ce.fit(ce.read_problem("first.toml", ["parameters.m.fixed=true"]))
         assert np.isfinite(result.cost)
 
@@ -147,11 +148,13 @@ class TestWhereExperimentsAreAlike:
         assert tree["experiment_defaults"]["outputs"] == {"y": "y", "v": "v"}
         sigma = tree["experiment_defaults"]["sigma"]
         assert sigma == pytest.approx({"y": 0.01, "v": 0.02}, rel=0.2)
+        assert tree["experiment_defaults"]["sigma_known"] is False
         assert all(set(e) <= {"id", "data", "role"} for e in tree["experiments"])
         Path("first.toml").write_text(text.replace("FILL IN: force?", "force"), encoding="utf-8")
         assert main(CHECK) == 0
         runs = ce.read_problem("first.toml").experiments
         assert {o.sigma for r in runs for o in r.outputs if o.variable == "y"} == {sigma["y"]}
+        assert not any(o.has_sigma for r in runs for o in r.outputs)
 
     def test_what_differs_stays_with_each(self, written, tmp_path):
         one = table(tmp_path / "one.csv", time=TIMES, F=FORCE, y=FORCE)
@@ -307,6 +310,23 @@ def test_several_outputs_are_weighted_by_their_noise(written, tmp_path):
     _, tree, _ = written(table(tmp_path / "a.parquet", columns))
     sigma = tree["experiments"][0]["sigma"]
     assert sigma == pytest.approx({"y": 0.005, "v": 2.0}, rel=0.1)
+
+
+@pytest.mark.parametrize("disturbed", ["saturated", "at rest", "missing", "fast"])
+def test_a_guess_of_noise_is_about_right(written, tmp_path, disturbed):
+    """Neither samples at a limit nor codes for missing values count as noise or as its absence."""
+    times = np.arange(2000) * 0.01
+    noise = 0.02 * np.random.default_rng(3).normal(size=2000)
+    y = np.sin((15.0 if disturbed == "fast" else 1.0) * times) + noise
+    if disturbed == "saturated":
+        y = np.clip(y, -0.5, 0.5)
+    elif disturbed == "at rest":
+        y[300:1700] = y[300]
+    elif disturbed == "missing":
+        y[::9] = -9999.0
+    text, _, _ = written(table(tmp_path / "a.csv", time=times, F=y, y=y))
+    found = float(re.search(r"# sigma.y = (\S+)", text)[1])
+    assert found == pytest.approx(0.02, rel=0.15)
 
 
 class TestWhereSomethingIsOpen:
