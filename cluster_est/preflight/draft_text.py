@@ -18,6 +18,7 @@ from cluster_est.preflight.draft import (
 from cluster_est.preflight.table_column import TableColumn, fold, split_unit
 from cluster_est.preflight.table_columns import ColumnMatch
 from cluster_est.preflight.table_times import DAYS_OR_SECONDS, TIME_COLUMN_NAMES
+from cluster_est.problem.tables.stand_ins import written
 from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
@@ -181,8 +182,7 @@ def _body(
     yield from _outputs(run)
     yield from _conversions(run)
     yield from _sigmas(run, noise)
-    matches = (*run.inputs, *run.outputs, *run.further)
-    used = {c.name for m in matches for c in (m.column, m.similar) if c is not None}
+    used = {column.name for column in run.used}
     unused = [c for c in columns.signals if c.name not in used]
     if unused:
         yield f"# columns that match no variable of the FMU: {', '.join(c.name for c in unused)}"
@@ -205,6 +205,10 @@ def _reading(run: DraftExperiment) -> Iterator[str]:
         if key != "long":
             guess = "  # a guess" if key == "encoding" else ""
             yield f"{key} = {inline(value)}{guess}"
+    if columns.missing or run.stand_ins:
+        every = ", ".join(map(written, dict.fromkeys((*columns.missing, *run.stand_ins))))
+        guess = "  # a guess: probably not measured values" if run.stand_ins else ""
+        yield f"missing = [{every}]{guess}"
     if run.test is not None:
         yield f"split_by = {inline(run.test[0])}"
 

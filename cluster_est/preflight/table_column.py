@@ -35,6 +35,8 @@ class TableColumn:
         Number of jumps, if it is constant or changes little between them.
     increases
         Whether it increases from row to row.
+    stand_ins
+        Numbers in it that probably mark missing measurements.
     """
 
     name: str
@@ -43,6 +45,7 @@ class TableColumn:
     noise: float = 0.0
     jumps: int = 0
     increases: bool = False
+    stand_ins: tuple[float, ...] = ()
 
     @property
     def folded(self) -> str:

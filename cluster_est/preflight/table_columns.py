@@ -77,6 +77,8 @@ class TableColumns:
         The column that distinguishes tests in it, and their names; empty for a single test.
     refused
         Reasons for columns of numbers with a value that is not a number, by name.
+    missing
+        Numbers of which the user says that they mark missing measurements.
     """
 
     path: Path
@@ -90,6 +92,7 @@ class TableColumns:
     split_by: str = ""
     tests: tuple[str, ...] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
+    missing: tuple[float, ...] = ()
 
     @property
     def named(self) -> dict[str, TableColumn]:
@@ -98,7 +101,12 @@ class TableColumns:
         return {column.name: column for column in every}
 
 
-def read_columns(path: Path, time_column: str = "", reading: Reading | None = None) -> TableColumns:
+def read_columns(
+    path: Path,
+    time_column: str = "",
+    reading: Reading | None = None,
+    missing: tuple[float, ...] = (),
+) -> TableColumns:
     """Read a table and classify its columns.
 
     Parameters
@@ -109,6 +117,8 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         Name of the column with the time, if the table has it; otherwise it is found by name.
     reading
         The user's options for reading it.
+    missing
+        Numbers that mark missing measurements.
 
     Raises
     ------
@@ -127,7 +137,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
     if tests:
         table = table.part(split_by, tests[0], "init")
         found = found if found is None else found.of(table)
-    columns, others, refused = _columns(table, found, split_by)
+    columns, others, refused = _columns(table, found, split_by, missing)
     if not columns and refused:
         raise DataError(next(iter(refused.values())))
     if not columns:
@@ -148,6 +158,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         split_by=split_by,
         tests=tests,
         refused=refused,
+        missing=missing,
     )
 
 
@@ -167,7 +178,7 @@ def _notes_on_times(found: FoundTime) -> Iterator[str]:
 
 
 def _columns(
-    table: MeasuredTable, time: FoundTime | None, split_by: str
+    table: MeasuredTable, time: FoundTime | None, split_by: str, missing: Sequence[float]
 ) -> tuple[list[TableColumn], dict[str, str], dict[str, str]]:
     """Return the columns of numbers that can be signals, the others, and reasons for errors.
 
@@ -194,6 +205,9 @@ def _columns(
         times = None if time is None else time.times_of(table, name)
         rows = len(values) if times is None or len(times) != len(values) else -1
         plain, unit = split_unit(name)
+        values = np.where(is_missing(values, missing), np.nan, values)
+        codes = tuple(each.value for each in stand_ins(values))
+        values = np.where(is_missing(values, codes), np.nan, values)
         jumps = count_jumps(np.arange(float(len(values))) if times is None else times, values)
         column = TableColumn(
             name,
@@ -202,6 +216,7 @@ def _columns(
             _noise(values),
             jumps if time is None or rows < 0 else 0,
             increases=_increases(values),
+            stand_ins=codes,
         )
         found.append((rows, column))
     if time is not None:
@@ -226,12 +241,10 @@ def _why_none(others: Mapping[str, str]) -> str:
 def _noise(values: FloatArray) -> float:
     """Estimate the standard deviation of a signal's noise from its differences.
 
-    Numbers that stand for missing values are left out, and so are stretches of equal values, as of
-    a saturated sensor. The result is at least a fraction of the signal's standard deviation,
-    because no sensor is more accurate.
+    Stretches of equal values, as of a saturated sensor, are left out. The result is at least a
+    fraction of the signal's standard deviation, because no sensor is more accurate.
     """
     finite = values[np.isfinite(values)]
-    finite = finite[~is_missing(finite, [each.value for each in stand_ins(finite)])]
     ends = np.flatnonzero(np.diff(finite, prepend=np.nan, append=np.nan) != 0.0)
     lengths = np.diff(ends)
     moving = finite[np.repeat(lengths < LEAST_EQUAL_VALUES, lengths)]

@@ -329,6 +329,35 @@ def test_a_guess_of_noise_is_about_right(written, tmp_path, disturbed):
     assert found == pytest.approx(0.02, rel=0.15)
 
 
+CODED = np.where(np.arange(50) % 9 == 4, -9999.0, FORCE)
+
+
+def test_numbers_for_missing_values_are_named_and_left_out(written, tmp_path, capsys):
+    files = [table(tmp_path / f"{n}.csv", time=TIMES, F=FORCE, y=CODED) for n in "ab"]
+    text, tree, said = written(*files)
+    assert tree["experiment_defaults"]["missing"] == [-9999]
+    assert "missing = [-9999]  # a guess" in text
+    assert said.count("(and 1 more tables): 'y' contains -9999, far from all other values") == 1
+    assert main(CHECK) == 0
+    Path("first.toml").write_text(text.replace("missing = ", "# missing = "), encoding="utf-8")
+    assert main(CHECK) == 1
+    assert re.search("problem +missing", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("given", ["-9999", "[-9999]", "[-9999, 65535]"])
+def test_numbers_for_missing_values_can_be_given(written, tmp_path, capsys, given):
+    data = table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=CODED)
+    arguments = ["init", str(FMU), str(data), "--read", f"missing={given}", "--out", "a.toml"]
+    assert main(arguments) == 0
+    assert "contains" not in capsys.readouterr().out
+    tree = tomllib.loads(Path("a.toml").read_text(encoding="utf-8"))
+    assert tree["experiments"][0]["missing"] == [float(v) for v in given.strip("[]").split(",")]
+    arguments[5] = "missing=never"
+    with pytest.raises(SystemExit):
+        main([*arguments, "--overwrite"])
+    assert "--read: missing[0]: must be a number" in capsys.readouterr().err
+
+
 class TestWhereSomethingIsOpen:
     def test_similar_names_must_be_confirmed(self, written, tmp_path, capsys):
         """What will be confirmed is converted already."""
