@@ -20,7 +20,8 @@ from workers.messages import FloatArray
 TIME_COLUMN_NAMES = (
     "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
     "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue", "relativetime", "trel",
-    "millis", "micros",
+    "millis", "micros", "epoch", "epochtime", "epochms", "unixtime", "unixtimestamp", "posixtime",
+    "ts",
 )  # fmt: skip
 """Names of a time column, folded."""
 UNITS_OF_NAMES = {"millis": "ms", "micros": "us"}

@@ -352,7 +352,7 @@ def test_numbers_for_missing_values_can_be_given(written, tmp_path, capsys, give
     assert "contains" not in capsys.readouterr().out
     tree = tomllib.loads(Path("a.toml").read_text(encoding="utf-8"))
     assert tree["experiments"][0]["missing"] == [float(v) for v in given.strip("[]").split(",")]
-    arguments[5] = "missing=never"
+    arguments[4] = "missing=never"
     with pytest.raises(SystemExit):
         main([*arguments, "--overwrite"])
     assert "--read: missing[0]: must be a number" in capsys.readouterr().err
