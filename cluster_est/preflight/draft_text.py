@@ -224,7 +224,7 @@ def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> It
             name += "_measured"
         taken.add(name)
         unit = f"  # [{column.unit}]" if column.unit else ""
-        yield f"# {dotted('signals', name)} = {inline(column.name)}{unit}"
+        yield f"# {dotted('signals', name)} = {_signal(column, inline(column.name))}{unit}"
     more = len(unused) - MOST_PROPOSED_SIGNALS
     if more > 0:
         yield f"# and {more} more columns"
@@ -269,7 +269,14 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) 
 
 def _held(column: TableColumn, name: str) -> str:
     """Return an input's column as TOML; a jumping input is held between samples."""
-    return f'{{ column = {name}, interpolation = "hold" }}' if column.jumps else name
+    return _signal(column, name, ', interpolation = "hold"' if column.jumps else "")
+
+
+def _signal(column: TableColumn, name: str, more: str = "") -> str:
+    """Return a signal's column as TOML, with the column of its own times."""
+    if column.clock is not None:
+        more += f", time = {inline(column.clock.name)}"
+    return f"{{ column = {name}{more} }}" if more else name
 
 
 def _why_held(column: TableColumn) -> str:
@@ -288,20 +295,24 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
         variable = match.variable
         key = dotted("outputs", variable.name)
         if match.column is not None:
-            yield f"{key} = {inline(match.column.name)}{said(variable, _why_taken(match))}"
+            value = _signal(match.column, inline(match.column.name))
+            yield f"{key} = {value}{said(variable, _why_taken(match))}"
         elif certain and match.similar is not None:
-            value = inline(match.similar.name)
+            value = _signal(match.similar, inline(match.similar.name))
             why_similar = "a similar name; uncomment the line if it is the right column"
             yield f"# {key} = {value}{said(variable, why_similar)}"
         elif not certain and (match.similar is not None or match is run.outputs[0]):
-            value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
+            value = f'"{FILL_IN}: a column"'
+            if match.similar is not None:
+                value = _signal(match.similar, _guess(match.similar))
             why = (_unusable(run, variable.name), _choices(run.columns.signals))
             yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     for match in run.further:
         if match.column is not None:
             key = dotted("outputs", match.variable.name)
             undeclared = said(match.variable, "not declared as an output")
-            yield f"{key} = {inline(match.column.name)}{undeclared}"
+            value = _signal(match.column, inline(match.column.name))
+            yield f"{key} = {value}{undeclared}"
     if not certain and not run.outputs:
         yield "# The FMU has no output: give the name of a variable that it computes."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
@@ -392,6 +403,9 @@ def _conversions(run: DraftExperiment) -> Iterator[str]:
         yield f"{dotted('columns', time.name)} = {value}"
     elif run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
+    for clock in dict.fromkeys(c.clock for c in run.used if c.clock is not None):
+        if clock.unit and time is not None and clock.name != time.name:
+            yield from _conversion(clock, "s", "times are in seconds")
     inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
     for variable, column in (*inputs, *_compared(run)):
         if column is not None and column.unit and variable.unit:

@@ -37,6 +37,9 @@ class TableColumn:
         Whether it increases from row to row.
     stand_ins
         Numbers in it that probably mark missing measurements.
+    clock
+        The column with its own times, if the file does not say so itself; None for those of the
+        rows.
     """
 
     name: str
@@ -46,6 +49,7 @@ class TableColumn:
     jumps: int = 0
     increases: bool = False
     stand_ins: tuple[float, ...] = ()
+    clock: TableColumn | None = None
 
     @property
     def folded(self) -> str:

@@ -23,9 +23,11 @@ from cluster_est.preflight.table_column import (
 from cluster_est.preflight.table_times import (
     LOOKED_AT,
     FoundTime,
+    clock_column,
     find_tests,
     find_time,
     may_hold_numbers,
+    own_clocks,
 )
 from cluster_est.problem.tables.cells import is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
@@ -131,6 +133,10 @@ def read_columns(
         table = replace(wide(table, *long), reading=replace(table.reading, long=long))
         table = replace(table, found={**table.found, "long": long})
     found = find_time(table, time_column)
+    own = own_clocks(table)
+    table = replace(table, clocks={**table.clocks, **own})
+    if own and found is None:
+        found = find_time(table)
     split_by = find_tests(table, found)
     tests = tuple(table.tests(split_by, "init")) if split_by else ()
     whole = table
@@ -138,6 +144,13 @@ def read_columns(
         table = table.part(split_by, tests[0], "init")
         found = found if found is None else found.of(table)
     columns, others, refused = _columns(table, found, split_by, missing)
+    clocks = {name: clock_column(table, name) for name in own}
+    columns = [
+        each
+        if found is None or clocks.get(each.name, found.column).name == found.column.name
+        else replace(each, clock=clocks[each.name])
+        for each in columns
+    ]
     if not columns and refused:
         raise DataError(next(iter(refused.values())))
     if not columns:
@@ -154,12 +167,23 @@ def read_columns(
         others,
         reading=whole.reading,
         found=whole.found,
-        notes=(*whole.notes, *(_notes_on_times(found) if found is not None else ())),
+        notes=(
+            *whole.notes,
+            *_note_on_clocks(own),
+            *(_notes_on_times(found) if found is not None else ()),
+        ),
         split_by=split_by,
         tests=tests,
         refused=refused,
         missing=missing,
     )
+
+
+def _note_on_clocks(own: Mapping[str, str]) -> Iterator[str]:
+    """Yield a note on signals with their own times."""
+    if own:
+        pairs = ", ".join(f"{clock!r} for {name!r}" for name, clock in own.items())
+        yield f"its signals have their own times: {pairs}"
 
 
 def _notes_on_times(found: FoundTime) -> Iterator[str]:
@@ -208,7 +232,7 @@ def _columns(
         values = np.where(is_missing(values, missing), np.nan, values)
         codes = tuple(each.value for each in stand_ins(values))
         values = np.where(is_missing(values, codes), np.nan, values)
-        jumps = count_jumps(np.arange(float(len(values))) if times is None else times, values)
+        jumps = _count_jumps(times if rows < 0 else None, values)
         column = TableColumn(
             name,
             plain,
@@ -223,6 +247,13 @@ def _columns(
         return [column for rows, column in found if rows < 0], others, refused
     usual = Counter(rows for rows, _ in found).most_common(1)
     return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
+
+
+def _count_jumps(times: FloatArray | None, values: FloatArray) -> int:
+    """Return the number of jumps between the measured values; times are None for the rows."""
+    times = np.arange(float(len(values))) if times is None else times
+    known = np.isfinite(times) & np.isfinite(values)
+    return count_jumps(times[known], values[known])
 
 
 def _not_numbers(column: Column) -> str:

@@ -329,6 +329,44 @@ def test_a_guess_of_noise_is_about_right(written, tmp_path, disturbed):
     assert found == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("names", "factor"),
+    [(("t_F", "t_y"), None), (("time_F [ms]", "time_y [ms]"), 0.001), (("F time", "y time"), None)],
+)
+def test_signals_with_their_own_times_get_them(written, tmp_path, names, factor):
+    """The input has every tenth sample only; the table has no other times."""
+    times = TIMES / (factor or 1.0)
+    few = [*np.round(times[::10], 9), *[""] * 45]
+    columns = {names[0]: few, "F": [*FORCE[::10], *[""] * 45]}
+    columns |= {names[1]: np.round(times, 9), "y": FORCE}
+    _, tree, said = written(table(tmp_path / "a.csv", columns))
+    (run,) = tree["experiments"]
+    assert (run["time"], run["outputs"]) == (names[1], {"y": "y"})
+    assert run["inputs"] == {"F": {"column": "F", "time": names[0]}}
+    assert factors(tree) == ({} if factor is None else dict.fromkeys(names, factor))
+    assert f"its signals have their own times: {names[1]!r} for 'y', {names[0]!r} for 'F'" in said
+    assert main(CHECK) == 0
+    (read,) = ce.read_problem("first.toml").experiments
+    np.testing.assert_allclose(read.inputs[0].times, TIMES[::10], atol=1e-9)
+    np.testing.assert_allclose(read.outputs[0].times, TIMES, atol=1e-9)
+
+
+def test_other_signals_have_the_time_of_the_rows(written, tmp_path):
+    columns = {"time": TIMES, "F": FORCE, "t_v": TIMES + 0.5, "v": FORCE, "t_y": TIMES + 1.0}
+    _, tree, _ = written(table(tmp_path / "a.csv", columns | {"y": FORCE}))
+    (run,) = tree["experiments"]
+    assert (run["time"], run["inputs"]) == ("time", {"F": "F"})
+    assert run["outputs"] == {name: {"column": name, "time": f"t_{name}"} for name in "yv"}
+
+
+def test_temperatures_are_not_the_times_of_other_columns(written, tmp_path):
+    warm = 20.0 + np.sin(40.0 * TIMES)
+    data = table(tmp_path / "a.csv", time=TIMES, F=FORCE, t_F=warm, y=FORCE, t_y=warm)
+    _, tree, _ = written(data)
+    (run,) = tree["experiments"]
+    assert (run["time"], run["inputs"], run["outputs"]) == ("time", {"F": "F"}, {"y": "y"})
+
+
 CODED = np.where(np.arange(50) % 9 == 4, -9999.0, FORCE)
 
 
@@ -353,8 +391,7 @@ def test_numbers_for_missing_values_can_be_given(written, tmp_path, capsys, give
     tree = tomllib.loads(Path("a.toml").read_text(encoding="utf-8"))
     assert tree["experiments"][0]["missing"] == [float(v) for v in given.strip("[]").split(",")]
     arguments[4] = "missing=never"
-    with pytest.raises(SystemExit):
-        main([*arguments, "--overwrite"])
+    assert main([*arguments, "--overwrite"]) == 2
     assert "--read: missing[0]: must be a number" in capsys.readouterr().err
 
 
