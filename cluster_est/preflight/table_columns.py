@@ -46,6 +46,7 @@ from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
+from workers.messages.signals import check_times
 
 LEAST_GUESSED_NOISE = 1e-3
 """Smallest guess of the noise, as a share of a signal's standard deviation."""
@@ -170,7 +171,7 @@ def read_columns(
         notes=(
             *whole.notes,
             *_note_on_clocks(own),
-            *(_notes_on_times(found) if found is not None else ()),
+            *(_notes_on_times(found, table) if found is not None else ()),
         ),
         split_by=split_by,
         tests=tests,
@@ -186,10 +187,16 @@ def _note_on_clocks(own: Mapping[str, str]) -> Iterator[str]:
         yield f"its signals have their own times: {pairs}"
 
 
-def _notes_on_times(found: FoundTime) -> Iterator[str]:
-    """Yield notes on how times were read, and on missing rows."""
+def _notes_on_times(found: FoundTime, table: MeasuredTable) -> Iterator[str]:
+    """Yield notes on how times were read, on repeated times, and on missing rows."""
     if found.said:
         yield found.said
+    if not table.signals:  # otherwise each signal has its own rows
+        try:
+            where = f"column {found.column.name!r}"
+            check_times(found.seconds, where, lambda i: f"row {table.row(i)}")
+        except DataError as error:
+            yield f"{error}; check and fit refuse the table until then"
     gaps = long_steps(np.unique(found.seconds[np.isfinite(found.seconds)])).tolist()
     if gaps:
         first, last = gaps[0]

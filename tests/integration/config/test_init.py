@@ -367,6 +367,22 @@ def test_temperatures_are_not_the_times_of_other_columns(written, tmp_path):
     assert (run["time"], run["inputs"], run["outputs"]) == ("time", {"F": "F"}, {"y": "y"})
 
 
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (np.insert(TIMES[:-1], 7, TIMES[6]), "row 9: .*remove repeated ones; check and fit refuse"),
+        (np.floor(10.0 * TIMES), "row 3: .*give sample_time.*; check and fit refuse the table"),
+        (TIMES, ""),
+    ],
+)
+def test_repeated_times_are_named(written, tmp_path, times, said):
+    _, _, printed = written(table(tmp_path / "a.csv", time=times, F=FORCE, y=FORCE))
+    if said:
+        assert re.search(f"a.csv: column 'time', {said}", printed)
+    assert ("times must increase" in printed) is bool(said)
+    assert main(CHECK) == (2 if said else 0)
+
+
 CODED = np.where(np.arange(50) % 9 == 4, -9999.0, FORCE)
 
 
