@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from cluster_est.errors import ConfigError
 from cluster_est.preflight.draft import ConfigDraft, draft
 from cluster_est.preflight.draft_text import open_lines, write
 from cluster_est.problem.tables.measured_table import Reading
+from cluster_est.problem.tables.stand_ins import written
 from cluster_est.settings import checked
 from cluster_est.toml import dotted
 from cluster_est.whole_files import write_output
@@ -30,13 +31,15 @@ def init(options: Namespace, answer: Answer) -> int:
         raise ConfigError(
             f"--out: {out} exists already; choose another file, or replace it with --overwrite"
         )
-    reading = read_reading(options.read)
-    found = draft(options.fmu, options.data, read_mapping(options.map), reading)
+    reading, codes = read_reading(options.read)
+    found = draft(options.fmu, options.data, read_mapping(options.map), reading, codes)
     text = write(found, out.parent)
     write_output(out, text.encode())
     for run in {run.columns.path: run for run in found.runs}.values():
         for note in run.columns.notes:
             answer.say(f"{run.columns.path}: {note}")
+    for said in _stand_ins(found):
+        answer.say(said)
     open_ = open_lines(text)
     missing = list(dict.fromkeys(name for run in found.runs for name in run.missing_inputs))
     answer.add(
@@ -62,6 +65,21 @@ def init(options: Namespace, answer: Answer) -> int:
     return ExitCode.DONE
 
 
+def _stand_ins(found: ConfigDraft) -> Iterator[str]:
+    """Yield a sentence for each number in a column that probably marks missing measurements."""
+    where: dict[tuple[str, float], list[Path]] = {}
+    for run in found.runs:
+        for column in run.used:
+            for value in column.stand_ins:
+                where.setdefault((column.name, value), []).append(run.columns.path)
+    for (name, value), paths in where.items():
+        more = f" (and {len(paths) - 1} more tables)" if len(paths) > 1 else ""
+        yield (
+            f"{paths[0]}{more}: {name!r} contains {written(value)}, far from all other values, so "
+            "the key missing was written; if this number was measured, remove it from the key"
+        )
+
+
 def _by_unit(found: ConfigDraft) -> dict[str, str]:
     """Return the columns identified only by their unit, by the keys of their variables."""
     return {
@@ -80,8 +98,8 @@ def _place(text: str, begins: str) -> str:
     return "" if place is None else f", line {place}"
 
 
-def read_reading(texts: Sequence[str]) -> Reading:
-    """Read `KEY=VALUE` arguments with options for reading tables.
+def read_reading(texts: Sequence[str]) -> tuple[Reading, tuple[float, ...]]:
+    """Read `KEY=VALUE` arguments with options for reading tables, and numbers for missing values.
 
     Raises
     ------
@@ -89,7 +107,7 @@ def read_reading(texts: Sequence[str]) -> Reading:
         If a key is unknown or has a wrong value.
     """
     raw: dict[str, Any] = {"read": {}}
-    known = [each for each in vars(Reading()) if each != "long"]
+    known = [*(each for each in vars(Reading()) if each != "long"), "missing"]
     for text in texts:
         key = text.partition("=")[0].strip()
         if key not in known or "=" not in text:
@@ -98,9 +116,17 @@ def read_reading(texts: Sequence[str]) -> Reading:
                 f"{text!r}{nearest(key, known)}"
             )
         override(raw, f"read.{text}")
-    given = {key: str(v) if key != "skip_rows" else v for key, v in raw["read"].items()}
+    given = {key: _as_given(key, value) for key, value in raw["read"].items()}
     checked_keys = checked(ExperimentDefaultsSection, given, "--read")
-    return Reading(**{key: getattr(checked_keys, key) for key in given})
+    options = {key: getattr(checked_keys, key) for key in given if key != "missing"}
+    return Reading(**options), tuple(checked_keys.missing)
+
+
+def _as_given(key: str, value: Any) -> Any:
+    """Return the value of an option as in a config."""
+    if key == "missing":
+        return value if isinstance(value, list) else [value]
+    return value if key == "skip_rows" else str(value)
 
 
 def read_mapping(texts: Sequence[str]) -> dict[str, str]:

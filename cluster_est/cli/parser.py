@@ -296,8 +296,8 @@ def _add_init(commands: Commands) -> None:
         metavar="KEY=VALUE",
         action="append",
         default=[],
-        help="how to read the tables: encoding, skip_rows, decimal, sheet, time_format or "
-        "time_zone, as in --read encoding=cp1252; may be given several times",
+        help="how to read the tables: encoding, skip_rows, decimal, sheet, time_format, "
+        "time_zone or missing, as in --read encoding=cp1252; may be given several times",
     )
     init.add_argument(
         "--map",

@@ -218,7 +218,12 @@ def open_on_all_rows(
 
     def change(e: int, output: Output) -> Output:
         own = weights[e, output.variable]
-        return replace(output, sigma=own.sigma, relative_sigma=own.relative_sigma)
+        return replace(
+            output,
+            sigma=own.sigma,
+            relative_sigma=own.relative_sigma,
+            sigma_known=own.sigma_known,
+        )
 
     request = replace(
         request,

@@ -432,7 +432,9 @@ def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Proble
         found = own.get(output.variable)
         if found is None:
             return output
-        return replace(output, sigma=found.sigma, relative_sigma=found.relative_sigma)
+        return replace(
+            output, sigma=found.sigma, relative_sigma=found.relative_sigma, sigma_known=True
+        )
 
     return with_outputs(problem, change)
 

@@ -60,8 +60,9 @@ def is_told(records: StackedRecords, output: int) -> bool:
 
 
 def is_given(fitter: Fitter, output: int) -> bool:
-    """Return whether some sigma of an output is not 1, the default."""
-    return bool(np.any(fitter.sigmas[fitter.records.of_output(output)] != 1.0))
+    """Return whether some sigma of an output is known."""
+    name = fitter.records.outputs[output]
+    return any(o.has_sigma for run in fitter.runs for o in run.outputs if o.variable == name)
 
 
 def measured_values(fitter: Fitter) -> FloatArray:

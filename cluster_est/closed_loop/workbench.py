@@ -256,8 +256,10 @@ def _declares_sigma(problem: Problem) -> bool:
 
 def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
     def change(_: int, output: Output) -> Output:
-        sigma = noise.get(output.variable, np.nan)
-        return replace(output, sigma=float(sigma)) if np.isfinite(sigma) and sigma > 0.0 else output
+        sigma = output.sigma * noise.get(output.variable, np.nan)
+        if not (np.isfinite(sigma) and sigma > 0.0):
+            return output
+        return replace(output, sigma=float(sigma), sigma_known=True)
 
     return with_outputs(problem, change)
 
@@ -268,8 +270,9 @@ def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
     silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
     but = f", except {' and '.join(silent)}, whose noise is not known" if silent else ""
     return (
-        f"the outputs have no sigma, so each output was weighted with its estimated noise{but}; "
-        f"for a fit with the same weights, write sigma = {{ {pairs} }} into the experiments"
+        "no sigma of the outputs is known, so each output was weighted with its estimated noise"
+        f"{but}; for a fit with the same weights, write sigma = {{ {pairs} }} and sigma_known = "
+        "false into the experiments"
     )
 
 

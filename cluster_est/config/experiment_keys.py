@@ -221,6 +221,11 @@ class _ExperimentKeys(ConfigSection):
         description="FMU output = standard deviation of its noise relative to the measured value, "
         "in addition to sigma; the total is sqrt(sigma^2 + (relative_sigma value)^2)",
     )
+    sigma_known: bool = Field(
+        True,
+        description="false: sigma is a guess, which only weights the outputs; residuals are then "
+        "compared with the noise estimated from the data, not with sigma",
+    )
     left_out: dict[str, list[Finite]] = Field(
         default_factory=dict,
         description="FMU output = times in seconds of samples to leave out, such as outliers; "

@@ -272,6 +272,7 @@ def _output(
         free_offset=how.free_offset is True,
         detection_limit=how.detection_limit,
         ordinal=how.ordinal is not False,
+        sigma_known=section.sigma_known,
     )
 
 
@@ -499,7 +500,8 @@ def weighted(output: Output, normalise: Normalise, weight: float) -> Output:
     """Return an output with its weight in the sum of squares.
 
     Its residuals are divided by sigma, or by the measured signal's largest absolute value or range,
-    and multiplied by the square root of the weight.
+    and multiplied by the square root of the weight. A signal's size, or a weight without a sigma,
+    says nothing about the noise.
     """
     size, relative = output.sigma, output.relative_sigma
     if normalise != "sigma" and len(output.values):
@@ -507,4 +509,10 @@ def weighted(output: Output, normalise: Normalise, weight: float) -> Output:
         size = float(np.ptp(values) if normalise == "range" else np.max(np.abs(values)))
         relative = 0.0
     root = float(np.sqrt(weight))
-    return replace(output, sigma=(size or 1.0) / root, relative_sigma=relative / root)
+    only_weight = normalise != "sigma" or (weight != 1.0 and not output.has_sigma)
+    return replace(
+        output,
+        sigma=(size or 1.0) / root,
+        relative_sigma=relative / root,
+        sigma_known=output.sigma_known and not only_weight,
+    )

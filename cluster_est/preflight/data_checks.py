@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.config.sections import Config
-from cluster_est.preflight.subject import CheckFinding, listed, note, passed
+from cluster_est.preflight.subject import CheckFinding, fault, listed, note, passed
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
@@ -121,7 +121,7 @@ def _sparse(problem: Problem, description: ModelDescription) -> list[CheckFindin
 
 def _stand_ins(problem: Problem) -> list[CheckFinding]:
     """Return a finding for each number in the data that is probably not a measurement."""
-    return [note("missing", said, do) for said, do in problem.data_findings]
+    return [fault("missing", said, do) for said, do in problem.data_findings]
 
 
 def _outlying(problem: Problem) -> list[CheckFinding]:

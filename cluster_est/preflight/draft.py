@@ -101,6 +101,17 @@ class DraftExperiment:
     lines: tuple[str, ...] = ()
 
     @property
+    def used(self) -> tuple[TableColumn, ...]:
+        """The columns of its variables, including those to be confirmed."""
+        every = (*self.inputs, *self.outputs, *self.further)
+        return tuple(c for m in every for c in (m.column, m.similar) if c is not None)
+
+    @property
+    def stand_ins(self) -> tuple[float, ...]:
+        """Numbers in these columns that probably mark missing measurements, each once."""
+        return tuple(sorted({value for column in self.used for value in column.stand_ins}))
+
+    @property
     def missing_inputs(self) -> tuple[str, ...]:
         """Names of inputs without a similar column."""
         return tuple(m.variable.name for m in self.inputs if m.column is None and not m.similar)
@@ -123,6 +134,7 @@ def draft(
     data: Sequence[Path],
     mapping: Mapping[str, str] | None = None,
     reading: Reading | None = None,
+    missing: tuple[float, ...] = (),
 ) -> ConfigDraft:
     """Draft a config from an FMU and measured tables.
 
@@ -137,6 +149,8 @@ def draft(
         Columns of variables of the FMU, or of "time".
     reading
         Known options for reading the tables.
+    missing
+        Numbers in the tables that mark missing measurements.
 
     Raises
     ------
@@ -157,7 +171,7 @@ def draft(
     check_variables(known, description)
     found = sources(fmu, data, Reading() if reading is None else reading)
     known = {n: c for n, c in found.mapping.items() if n in description.variables} | {**known}
-    tables = _alike(_tables(found.tables, known.get(TIME_NAME, "")))
+    tables = _alike(_tables(found.tables, known.get(TIME_NAME, ""), missing))
     check_columns(known, [columns for _, columns in tables])
     held_out = len(tables) - 1 if len(tables) > 1 else -1
     runs: list[DraftExperiment] = []
@@ -179,12 +193,14 @@ def draft(
     )
 
 
-def _tables(given: Sequence[DraftSource], time: str) -> list[tuple[DraftSource, TableColumns]]:
+def _tables(
+    given: Sequence[DraftSource], time: str, missing: tuple[float, ...]
+) -> list[tuple[DraftSource, TableColumns]]:
     """Return the columns of each source; a file with several tests is read once."""
     read: dict[tuple[Path, Reading], TableColumns] = {}
     for each in given:
         if (each.path, each.reading) not in read:
-            read[each.path, each.reading] = read_columns(each.path, time, each.reading)
+            read[each.path, each.reading] = read_columns(each.path, time, each.reading, missing)
     return [(each, read[each.path, each.reading]) for each in given]
 
 

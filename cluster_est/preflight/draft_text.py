@@ -18,6 +18,7 @@ from cluster_est.preflight.draft import (
 from cluster_est.preflight.table_column import TableColumn, fold, split_unit
 from cluster_est.preflight.table_columns import ColumnMatch
 from cluster_est.preflight.table_times import DAYS_OR_SECONDS, TIME_COLUMN_NAMES
+from cluster_est.problem.tables.stand_ins import written
 from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
@@ -181,8 +182,7 @@ def _body(
     yield from _outputs(run)
     yield from _conversions(run)
     yield from _sigmas(run, noise)
-    matches = (*run.inputs, *run.outputs, *run.further)
-    used = {c.name for m in matches for c in (m.column, m.similar) if c is not None}
+    used = {column.name for column in run.used}
     unused = [c for c in columns.signals if c.name not in used]
     if unused:
         yield f"# columns that match no variable of the FMU: {', '.join(c.name for c in unused)}"
@@ -205,6 +205,10 @@ def _reading(run: DraftExperiment) -> Iterator[str]:
         if key != "long":
             guess = "  # a guess" if key == "encoding" else ""
             yield f"{key} = {inline(value)}{guess}"
+    if columns.missing or run.stand_ins:
+        every = ", ".join(map(written, dict.fromkeys((*columns.missing, *run.stand_ins))))
+        guess = "  # a guess: probably not measured values" if run.stand_ins else ""
+        yield f"missing = [{every}]{guess}"
     if run.test is not None:
         yield f"split_by = {inline(run.test[0])}"
 
@@ -220,7 +224,7 @@ def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> It
             name += "_measured"
         taken.add(name)
         unit = f"  # [{column.unit}]" if column.unit else ""
-        yield f"# {dotted('signals', name)} = {inline(column.name)}{unit}"
+        yield f"# {dotted('signals', name)} = {_signal(column, inline(column.name))}{unit}"
     more = len(unused) - MOST_PROPOSED_SIGNALS
     if more > 0:
         yield f"# and {more} more columns"
@@ -265,7 +269,14 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) 
 
 def _held(column: TableColumn, name: str) -> str:
     """Return an input's column as TOML; a jumping input is held between samples."""
-    return f'{{ column = {name}, interpolation = "hold" }}' if column.is_held else name
+    return _signal(column, name, ', interpolation = "hold"' if column.is_held else "")
+
+
+def _signal(column: TableColumn, name: str, more: str = "") -> str:
+    """Return a signal's column as TOML, with the column of its own times."""
+    if column.clock is not None:
+        more += f", time = {inline(column.clock.name)}"
+    return f"{{ column = {name}{more} }}" if more else name
 
 
 def _why_held(column: TableColumn) -> str:
@@ -296,20 +307,24 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
         variable = match.variable
         key = dotted("outputs", variable.name)
         if match.column is not None:
-            yield f"{key} = {inline(match.column.name)}{said(variable, _why_taken(match))}"
+            value = _signal(match.column, inline(match.column.name))
+            yield f"{key} = {value}{said(variable, _why_taken(match))}"
         elif certain and match.similar is not None:
-            value = inline(match.similar.name)
+            value = _signal(match.similar, inline(match.similar.name))
             why_similar = "a similar name; uncomment the line if it is the right column"
             yield f"# {key} = {value}{said(variable, why_similar)}"
         elif not certain and (match.similar is not None or match is run.outputs[0]):
-            value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
+            value = f'"{FILL_IN}: a column"'
+            if match.similar is not None:
+                value = _signal(match.similar, _guess(match.similar))
             why = (_unusable(run, variable.name), _choices(run.columns.signals))
             yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     for match in run.further:
         if match.column is not None:
             key = dotted("outputs", match.variable.name)
             undeclared = said(match.variable, "not declared as an output")
-            yield f"{key} = {inline(match.column.name)}{undeclared}"
+            value = _signal(match.column, inline(match.column.name))
+            yield f"{key} = {value}{undeclared}"
     if not certain and not run.outputs:
         yield "# The FMU has no output: give the name of a variable that it computes."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
@@ -361,6 +376,13 @@ def _shared_noise(runs: Sequence[DraftExperiment]) -> dict[str, float]:
     return {name: median(own[name].noise for own in compared) for name in named[0]} if runs else {}
 
 
+GUESSED_SIGMA = (
+    "the sigmas above only weight the outputs; replace them all by the noise of your sensors, then "
+    "remove this line"
+)
+"""Comment on guessed sigmas."""
+
+
 def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
     """Yield guesses of the noise of each output, which determine the weights of the outputs."""
     compared = _compared(run)
@@ -371,8 +393,10 @@ def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
             continue
         line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
         why = "standard deviation of its noise, a guess"
-        weighs = f"{line}  # {why}; it determines the weight of the output"
-        yield weighs if several else f"# {line}  # {why}"
+        weighs = f"{line}  # {why}, for the weight of the output"
+        yield weighs if several else f"# {line}  # {why}; give it only if you know the sensor"
+    if several:
+        yield f"sigma_known = false  # {GUESSED_SIGMA}"
 
 
 def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
@@ -391,6 +415,9 @@ def _conversions(run: DraftExperiment) -> Iterator[str]:
         yield f"{dotted('columns', time.name)} = {value}"
     elif run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
+    for clock in dict.fromkeys(c.clock for c in run.used if c.clock is not None):
+        if clock.unit and time is not None and clock.name != time.name:
+            yield from _conversion(clock, "s", "times are in seconds")
     inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
     for variable, column in (*inputs, *_compared(run)):
         if column is not None and column.unit and variable.unit:

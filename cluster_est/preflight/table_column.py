@@ -39,6 +39,11 @@ class TableColumn:
         Whether it has much fewer values than another column.
     at_changes
         Whether it seems to be recorded only when it changes.
+    stand_ins
+        Numbers in it that probably mark missing measurements.
+    clock
+        The column with its own times, if the file does not say so itself; None for those of the
+        rows.
     """
 
     name: str
@@ -49,6 +54,8 @@ class TableColumn:
     increases: bool = False
     few: bool = False
     at_changes: bool = False
+    stand_ins: tuple[float, ...] = ()
+    clock: TableColumn | None = None
 
     @property
     def is_held(self) -> bool:

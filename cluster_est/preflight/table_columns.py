@@ -23,9 +23,11 @@ from cluster_est.preflight.table_column import (
 from cluster_est.preflight.table_times import (
     LOOKED_AT,
     FoundTime,
+    clock_column,
     find_tests,
     find_time,
     may_hold_numbers,
+    own_clocks,
 )
 from cluster_est.problem.tables.cells import is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
@@ -39,14 +41,20 @@ from cluster_est.problem.tables.measured_table import (
     UndecidedError,
 )
 from cluster_est.problem.tables.sparse_inputs import is_sparse
+from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.tables.units import conversion, is_known
+from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
+from workers.messages.signals import check_times
 
 LEAST_GUESSED_NOISE = 1e-3
 """Smallest guess of the noise, as a share of a signal's standard deviation."""
 LEAST_SAMPLES_FOR_NOISE = 10
 """Smallest number of samples from which noise is estimated."""
+LEAST_EQUAL_VALUES = 5
+"""Smallest number of successive equal values that say nothing about the noise."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +81,8 @@ class TableColumns:
         The column that distinguishes tests in it, and their names; empty for a single test.
     refused
         Reasons for columns of numbers with a value that is not a number, by name.
+    missing
+        Numbers of which the user says that they mark missing measurements.
     """
 
     path: Path
@@ -86,6 +96,7 @@ class TableColumns:
     split_by: str = ""
     tests: tuple[str, ...] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
+    missing: tuple[float, ...] = ()
 
     @property
     def named(self) -> dict[str, TableColumn]:
@@ -94,7 +105,12 @@ class TableColumns:
         return {column.name: column for column in every}
 
 
-def read_columns(path: Path, time_column: str = "", reading: Reading | None = None) -> TableColumns:
+def read_columns(
+    path: Path,
+    time_column: str = "",
+    reading: Reading | None = None,
+    missing: tuple[float, ...] = (),
+) -> TableColumns:
     """Read a table and classify its columns.
 
     Parameters
@@ -105,6 +121,8 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         Name of the column with the time, if the table has it; otherwise it is found by name.
     reading
         The user's options for reading it.
+    missing
+        Numbers that mark missing measurements.
 
     Raises
     ------
@@ -117,13 +135,24 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         table = replace(wide(table, *long), reading=replace(table.reading, long=long))
         table = replace(table, found={**table.found, "long": long})
     found = find_time(table, time_column)
+    own = own_clocks(table)
+    table = replace(table, clocks={**table.clocks, **own})
+    if own and found is None:
+        found = find_time(table)
     split_by = find_tests(table, found)
     tests = tuple(table.tests(split_by, "init")) if split_by else ()
     whole = table
     if tests:
         table = table.part(split_by, tests[0], "init")
         found = found if found is None else found.of(table)
-    columns, others, refused = _columns(table, found, split_by)
+    columns, others, refused = _columns(table, found, split_by, missing)
+    clocks = {name: clock_column(table, name) for name in own}
+    columns = [
+        each
+        if found is None or clocks.get(each.name, found.column).name == found.column.name
+        else replace(each, clock=clocks[each.name])
+        for each in columns
+    ]
     if not columns and refused:
         raise DataError(next(iter(refused.values())))
     if not columns:
@@ -140,17 +169,35 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         others,
         reading=whole.reading,
         found=whole.found,
-        notes=(*whole.notes, *(_notes_on_times(found) if found is not None else ())),
+        notes=(
+            *whole.notes,
+            *_note_on_clocks(own),
+            *(_notes_on_times(found, table) if found is not None else ()),
+        ),
         split_by=split_by,
         tests=tests,
         refused=refused,
+        missing=missing,
     )
 
 
-def _notes_on_times(found: FoundTime) -> Iterator[str]:
-    """Yield notes on how times were read, and on missing rows."""
+def _note_on_clocks(own: Mapping[str, str]) -> Iterator[str]:
+    """Yield a note on signals with their own times."""
+    if own:
+        pairs = ", ".join(f"{clock!r} for {name!r}" for name, clock in own.items())
+        yield f"its signals have their own times: {pairs}"
+
+
+def _notes_on_times(found: FoundTime, table: MeasuredTable) -> Iterator[str]:
+    """Yield notes on how times were read, on repeated times, and on missing rows."""
     if found.said:
         yield found.said
+    if not table.signals:  # otherwise each signal has its own rows
+        try:
+            where = f"column {found.column.name!r}"
+            check_times(found.seconds, where, lambda i: f"row {table.row(i)}")
+        except DataError as error:
+            yield f"{error}; check and fit refuse the table until then"
     gaps = long_steps(np.unique(found.seconds[np.isfinite(found.seconds)])).tolist()
     if gaps:
         first, last = gaps[0]
@@ -163,7 +210,7 @@ def _notes_on_times(found: FoundTime) -> Iterator[str]:
 
 
 def _columns(
-    table: MeasuredTable, time: FoundTime | None, split_by: str
+    table: MeasuredTable, time: FoundTime | None, split_by: str, missing: Sequence[float]
 ) -> tuple[list[TableColumn], dict[str, str], dict[str, str]]:
     """Return the columns of numbers that can be signals, the others, and reasons for errors.
 
@@ -191,6 +238,9 @@ def _columns(
         times = None if time is None else time.times_of(table, name)
         rows = len(values) if times is None or len(times) != len(values) else -1
         plain, unit = split_unit(name)
+        values = np.where(is_missing(values, missing), np.nan, values)
+        codes = tuple(each.value for each in stand_ins(values))
+        values = np.where(is_missing(values, codes), np.nan, values)
         clock = np.arange(float(len(values))) if times is None or rows >= 0 else times
         there = np.isfinite(values) & np.isfinite(clock)
         known = clock[there], values[there]
@@ -202,6 +252,7 @@ def _columns(
             count_jumps(*known) if time is None or rows < 0 else 0,
             increases=_increases(values),
             at_changes=time is not None and rows < 0 and recorded_at_changes(*known),
+            stand_ins=codes,
         )
         found.append((rows, column))
         counts.append(int(there.sum()))
@@ -239,16 +290,21 @@ def _why_none(others: Mapping[str, str]) -> str:
 
 
 def _noise(values: FloatArray) -> float:
-    """Estimate the standard deviation of a signal's noise from second differences.
+    """Estimate the standard deviation of a signal's noise from its differences.
 
-    The second differences of a smooth signal are small. Their median is used, so that a few jumps
-    have no influence. The result is at least a fraction of the signal's standard deviation, because
-    no sensor is more accurate.
+    Stretches of equal values, as of a saturated sensor, are left out. The result is at least a
+    fraction of the signal's standard deviation, because no sensor is more accurate.
     """
     finite = values[np.isfinite(values)]
+    ends = np.flatnonzero(np.diff(finite, prepend=np.nan, append=np.nan) != 0.0)
+    lengths = np.diff(ends)
+    moving = finite[np.repeat(lengths < LEAST_EQUAL_VALUES, lengths)]
+    if len(moving) >= LEAST_SAMPLES_FOR_NOISE:
+        finite = moving
     if len(finite) < LEAST_SAMPLES_FOR_NOISE:
         return 0.0
-    spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
+    whole = OutputRecord(0, 0, slice(0, len(finite)), np.arange(float(len(finite))))
+    spread = float(estimate_noise(finite, StackedRecords(("",), (whole,)), finite)[0])
     return max(spread, LEAST_GUESSED_NOISE * float(np.std(finite)))
 
 

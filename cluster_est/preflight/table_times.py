@@ -20,7 +20,8 @@ from workers.messages import FloatArray
 TIME_COLUMN_NAMES = (
     "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
     "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue", "relativetime", "trel",
-    "millis", "micros",
+    "millis", "micros", "epoch", "epochtime", "epochms", "unixtime", "unixtimestamp", "posixtime",
+    "ts",
 )  # fmt: skip
 """Names of a time column, folded."""
 UNITS_OF_NAMES = {"millis": "ms", "micros": "us"}
@@ -110,6 +111,35 @@ def find_time(table: MeasuredTable, given: str = "") -> FoundTime | None:
         column, size = replace(column, unit=DAYS_OR_SECONDS), 1.0
         found = read_times(table, name, None, "init", factor=size)
     return FoundTime(column, tuple(name.split(JOINT)), found.seconds, found.said)
+
+
+def own_clocks(table: MeasuredTable) -> dict[str, str]:
+    """Return the time column of each signal that has its own, by names such as "t_speed".
+
+    The names must show this for at least two signals, and the times must increase. The column with
+    most times comes first.
+    """
+    split = {name: _column(table, name) for name in table.columns if name}
+    folded = {column.folded: name for name, column in split.items()}
+    pairs = {
+        name: clock
+        for name, column in split.items()
+        for before, after in (("t", ""), ("time", ""), ("", "time"), ("", "t"))
+        if (clock := folded.get(f"{before}{column.folded}{after}", name)) != name
+        and (not split[clock].unit or conversion(split[clock].unit, "s") is not None)
+        and _holds_numbers(table, clock)
+    }
+    times = {clock: table.numbers(clock, "init") for clock in pairs.values()}
+    times = {clock: seconds[np.isfinite(seconds)] for clock, seconds in times.items()}
+    pairs = {name: c for name, c in pairs.items() if np.all(np.diff(times[c]) > 0.0)}
+    if table.clocks or len(pairs) < 2 or len(set(pairs.values())) < len(pairs):
+        return {}
+    return dict(sorted(pairs.items(), key=lambda pair: -len(times[pair[1]])))
+
+
+def clock_column(table: MeasuredTable, name: str) -> TableColumn:
+    """Return the column with the own times of a signal, with its unit."""
+    return with_suffix(_column(table, table.clocks[name]), "s")
 
 
 def _is_number(table: MeasuredTable, name: str) -> bool:

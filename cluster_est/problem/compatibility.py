@@ -167,10 +167,11 @@ def need_sigmas(problem: Problem, why: str) -> None:
     for experiment in problem.experiments:
         for output in experiment.outputs:
             if len(output.times) and not output.has_sigma:
+                lacks = "missing" if output.sigma_known else "not known, or only a weight"
                 raise ProblemError(
-                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is missing, "
-                    f"but {why}; give every output its own sigma (for a sigma of 1, write "
-                    "1.000001, because 1 means that no sigma is given)"
+                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is {lacks}, "
+                    f"but {why}; give every output its own sigma, without sigma_known = false (for "
+                    "a sigma of 1, write 1.000001, because 1 means that no sigma is given)"
                 )
 
 

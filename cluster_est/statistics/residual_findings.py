@@ -41,7 +41,7 @@ class OutputDiagnostics:
         Whether the output has a declared sigma.
     rms_over_sigma
         Root mean square of the residuals over sigma. The sum of squares is divided by the degrees
-        of freedom. Without a declared sigma, it is in the unit of the output.
+        of freedom. Without a declared sigma, sigma is only the weight of the output, usually 1.
     noise_over_sigma
         The noise from sample to sample (`estimate_noise`), in the same unit.
     largest_over_rms
@@ -179,7 +179,7 @@ def _no_larger(output: OutputDiagnostics) -> str:
 def _times_noise(output: OutputDiagnostics) -> str:
     noise = "its noise from sample to sample"
     if not output.declared:
-        noise += f" ({output.noise_over_sigma:.2g}; no sigma is declared)"
+        noise += " (no sigma is declared)"
     return f"error is {output.rms_over_noise:.2g} x {noise} and {_related(output)}"
 
 

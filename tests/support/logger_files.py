@@ -475,6 +475,10 @@ case(
     written(table([f"{EPOCH * 1000 + round(1e3 * t)}" for t in T], head=("time [ms]", "F", "y"))),
 )
 case(
+    "milliseconds since 1970, called an epoch",
+    written(table([f"{EPOCH * 1000 + round(1e3 * t)}" for t in T], head=("epoch_ms", "F", "y"))),
+)
+case(
     "microseconds since 1970",
     written(table([f"{EPOCH * 10**6 + round(1e6 * t)}" for t in T])),
     notes="microsec",

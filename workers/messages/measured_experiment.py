@@ -394,6 +394,7 @@ class Experiment:
         for output in self.outputs:
             relative = (output.relative_sigma,) if output.relative_sigma else ()
             signals += [output.variable, repr(output.sigma), *map(repr, relative)]
+            signals += [] if output.sigma_known else ["sigma is not known"]
             if not output.is_plain:
                 how = (output.free_scale, output.free_offset, output.detection_limit)
                 signals += ["observed", repr(how), *(["ordinal"] if output.ordinal else [])]

@@ -240,6 +240,8 @@ class Output:
         Whether only the order of the measured values counts, such as grades from 1 to 5. Equal
         values form a category, and a larger value means that the output was larger. Then `sigma` is
         in standard deviations of the simulated signal.
+    sigma_known
+        Whether sigma is the known noise of the sensor. If not, it only weights the output.
     noise_factors : (n,)
         Factors of the standard deviation of each sample, which is smaller for the mean of many
         samples. None for 1.
@@ -266,9 +268,11 @@ class Output:
     ordinal: bool = False
     reference: Output | None = field(default=None, repr=False)
     noise_factors: FloatArray | None = field(default=None, repr=False)
+    sigma_known: bool = True
 
     def __post_init__(self) -> None:
         where = _check_samples(self, "output")
+        check_flag(self.sigma_known, f"{where}.sigma_known", DataError)
         check_flag(self.free_scale, f"{where}.free_scale", DataError)
         check_flag(self.free_offset, f"{where}.free_offset", DataError)
         check_flag(self.ordinal, f"{where}.ordinal", DataError)
@@ -356,8 +360,8 @@ class Output:
 
     @property
     def has_sigma(self) -> bool:
-        """Whether its noise is given; a sigma of 1 means that it is not."""
-        return self.sigma != 1.0 or self.relative_sigma > 0.0
+        """Whether its noise is given; it is not if sigma is 1 or not known."""
+        return self.sigma_known and (self.sigma != 1.0 or self.relative_sigma > 0.0)
 
 
 def _check_samples(signal: Any, kind: str) -> str:

@@ -66,6 +66,7 @@ class TestWhereColumnsMatch:
         assert '# x = { start = 0.0, per = "experiment" }' in text
         assert "sigma" not in tree["experiment_defaults"]  # of one output alone
         assert "# sigma.y = " in text
+        assert "sigma_known" not in text
         result = ce.fit(ce.read_problem("first.toml", ["parameters.m.fixed=true"]))
         assert np.isfinite(result.cost)
 
@@ -148,11 +149,13 @@ class TestWhereExperimentsAreAlike:
         assert tree["experiment_defaults"]["outputs"] == {"y": "y", "v": "v"}
         sigma = tree["experiment_defaults"]["sigma"]
         assert sigma == pytest.approx({"y": 0.01, "v": 0.02}, rel=0.2)
+        assert tree["experiment_defaults"]["sigma_known"] is False
         assert all(set(e) <= {"id", "data", "role"} for e in tree["experiments"])
         Path("first.toml").write_text(text.replace("FILL IN: force?", "force"), encoding="utf-8")
         assert main(CHECK) == 0
         runs = ce.read_problem("first.toml").experiments
         assert {o.sigma for r in runs for o in r.outputs if o.variable == "y"} == {sigma["y"]}
+        assert not any(o.has_sigma for r in runs for o in r.outputs)
 
     def test_what_differs_stays_with_each(self, written, tmp_path):
         one = table(tmp_path / "one.csv", time=TIMES, F=FORCE, y=FORCE)
@@ -340,6 +343,105 @@ def test_several_outputs_are_weighted_by_their_noise(written, tmp_path):
     _, tree, _ = written(table(tmp_path / "a.parquet", columns))
     sigma = tree["experiments"][0]["sigma"]
     assert sigma == pytest.approx({"y": 0.005, "v": 2.0}, rel=0.1)
+
+
+@pytest.mark.parametrize("disturbed", ["saturated", "at rest", "missing", "fast"])
+def test_a_guess_of_noise_is_about_right(written, tmp_path, disturbed):
+    """Neither samples at a limit nor codes for missing values count as noise or as its absence."""
+    times = np.arange(2000) * 0.01
+    noise = 0.02 * np.random.default_rng(3).normal(size=2000)
+    y = np.sin((15.0 if disturbed == "fast" else 1.0) * times) + noise
+    if disturbed == "saturated":
+        y = np.clip(y, -0.5, 0.5)
+    elif disturbed == "at rest":
+        y[300:1700] = y[300]
+    elif disturbed == "missing":
+        y[::9] = -9999.0
+    text, _, _ = written(table(tmp_path / "a.csv", time=times, F=y, y=y))
+    found = float(re.search(r"# sigma.y = (\S+)", text)[1])
+    assert found == pytest.approx(0.02, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("names", "factor"),
+    [(("t_F", "t_y"), None), (("time_F [ms]", "time_y [ms]"), 0.001), (("F time", "y time"), None)],
+)
+def test_signals_with_their_own_times_get_them(written, tmp_path, names, factor):
+    """The input has every tenth sample only; the table has no other times."""
+    times = TIMES / (factor or 1.0)
+    few = [*np.round(times[::10], 9), *[""] * 45]
+    columns = {names[0]: few, "F": [*FORCE[::10], *[""] * 45]}
+    columns |= {names[1]: np.round(times, 9), "y": FORCE}
+    _, tree, said = written(table(tmp_path / "a.csv", columns))
+    (run,) = tree["experiments"]
+    assert (run["time"], run["outputs"]) == (names[1], {"y": "y"})
+    assert run["inputs"] == {"F": {"column": "F", "time": names[0]}}
+    assert factors(tree) == ({} if factor is None else dict.fromkeys(names, factor))
+    assert f"its signals have their own times: {names[1]!r} for 'y', {names[0]!r} for 'F'" in said
+    assert main(CHECK) == 0
+    (read,) = ce.read_problem("first.toml").experiments
+    np.testing.assert_allclose(read.inputs[0].times, TIMES[::10], atol=1e-9)
+    np.testing.assert_allclose(read.outputs[0].times, TIMES, atol=1e-9)
+
+
+def test_other_signals_have_the_time_of_the_rows(written, tmp_path):
+    columns = {"time": TIMES, "F": FORCE, "t_v": TIMES + 0.5, "v": FORCE, "t_y": TIMES + 1.0}
+    _, tree, _ = written(table(tmp_path / "a.csv", columns | {"y": FORCE}))
+    (run,) = tree["experiments"]
+    assert (run["time"], run["inputs"]) == ("time", {"F": "F"})
+    assert run["outputs"] == {name: {"column": name, "time": f"t_{name}"} for name in "yv"}
+
+
+def test_temperatures_are_not_the_times_of_other_columns(written, tmp_path):
+    warm = 20.0 + np.sin(40.0 * TIMES)
+    data = table(tmp_path / "a.csv", time=TIMES, F=FORCE, t_F=warm, y=FORCE, t_y=warm)
+    _, tree, _ = written(data)
+    (run,) = tree["experiments"]
+    assert (run["time"], run["inputs"], run["outputs"]) == ("time", {"F": "F"}, {"y": "y"})
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (np.insert(TIMES[:-1], 7, TIMES[6]), "row 9: .*remove repeated ones; check and fit refuse"),
+        (np.floor(10.0 * TIMES), "row 3: .*give sample_time.*; check and fit refuse the table"),
+        (TIMES, ""),
+    ],
+)
+def test_repeated_times_are_named(written, tmp_path, times, said):
+    _, _, printed = written(table(tmp_path / "a.csv", time=times, F=FORCE, y=FORCE))
+    if said:
+        assert re.search(f"a.csv: column 'time', {said}", printed)
+    assert ("times must increase" in printed) is bool(said)
+    assert main(CHECK) == (2 if said else 0)
+
+
+CODED = np.where(np.arange(50) % 9 == 4, -9999.0, FORCE)
+
+
+def test_numbers_for_missing_values_are_named_and_left_out(written, tmp_path, capsys):
+    files = [table(tmp_path / f"{n}.csv", time=TIMES, F=FORCE, y=CODED) for n in "ab"]
+    text, tree, said = written(*files)
+    assert tree["experiment_defaults"]["missing"] == [-9999]
+    assert "missing = [-9999]  # a guess" in text
+    assert said.count("(and 1 more tables): 'y' contains -9999, far from all other values") == 1
+    assert main(CHECK) == 0
+    Path("first.toml").write_text(text.replace("missing = ", "# missing = "), encoding="utf-8")
+    assert main(CHECK) == 1
+    assert re.search("problem +missing", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("given", ["-9999", "[-9999]", "[-9999, 65535]"])
+def test_numbers_for_missing_values_can_be_given(written, tmp_path, capsys, given):
+    data = table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=CODED)
+    arguments = ["init", str(FMU), str(data), "--read", f"missing={given}", "--out", "a.toml"]
+    assert main(arguments) == 0
+    assert "contains" not in capsys.readouterr().out
+    tree = tomllib.loads(Path("a.toml").read_text(encoding="utf-8"))
+    assert tree["experiments"][0]["missing"] == [float(v) for v in given.strip("[]").split(",")]
+    arguments[4] = "missing=never"
+    assert main([*arguments, "--overwrite"]) == 2
+    assert "--read: missing[0]: must be a number" in capsys.readouterr().err
 
 
 class TestWhereSomethingIsOpen:

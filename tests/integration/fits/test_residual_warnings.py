@@ -72,6 +72,18 @@ def test_a_wrong_sigma_is_named(clean, sigma, doubt):
     assert f"sigma is probably 10 times {doubt.removeprefix('sigma ')}" in note.replace("9.9", "10")
 
 
+def test_a_guessed_sigma_is_no_claim(clean):
+    """A fit to white noise with a guess that is ten times too small or too large."""
+    for sigma in (0.0002, 0.02):
+        guessed = with_outputs(
+            declared(clean, sigma), lambda output: replace(output, sigma_known=False)
+        )
+        found = ce.fit(guessed)
+        assert found.diagnostics is not None
+        assert not found.diagnostics.outputs[0].declared
+        assert found.notes == ()
+
+
 @pytest.mark.slow
 def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking):
     names = tuple(p.name for p in lacking.parameters)

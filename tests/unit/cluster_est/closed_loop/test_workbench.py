@@ -242,8 +242,13 @@ def two_units(sigma):
     return with_outputs(problem, noisy)
 
 
-def test_outputs_without_sigma_are_weighted_with_their_noise():
-    with opened(two_units(1.0)) as bench:
+@pytest.mark.parametrize("guess", [None, 0.5])
+def test_outputs_without_sigma_are_weighted_with_their_noise(guess):
+    problem = two_units(1.0 if guess is None else guess)
+    if guess is not None:
+        problem = with_outputs(problem, lambda output: replace(output, sigma_known=False))
+    with opened(problem) as bench:
+        assert not bench.fitter.sigma_declared
         for run in bench.fitter.problem.experiments:
             assert [o.sigma for o in run.outputs] == pytest.approx([0.02, 0.2], rel=0.2)
         assert any("sigma = { motor_speed = 0.0" in note for note in bench.scope.notes)

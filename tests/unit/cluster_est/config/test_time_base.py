@@ -131,3 +131,20 @@ def test_what_residuals_are_divided_by(compared, values, sizes, weight, share):
         cost = {"normalise": normalise, "weights": {"y": weight}}
         (output,) = compared({"y": signal}, cost=cost, **{f"{A}.sigma": {"y": 0.5}})
         assert output.sigma == size * share
+        assert output.has_sigma == (normalise == "sigma" and output.sigma != 1.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "known"),
+    [
+        ({f"{A}.sigma": {"y": 0.5}}, True),
+        ({f"{A}.sigma": {"y": 0.5}, f"{A}.weight": 4.0}, True),
+        ({f"{A}.sigma": {"y": 0.5}, f"{A}.sigma_known": False}, False),
+        ({f"{A}.weight": 4.0}, False),
+        ({"cost": {"weights": {"y": 4.0}}}, False),
+        ({}, False),
+    ],
+)
+def test_only_a_given_sigma_is_knowledge_of_the_noise(compared, keys, known):
+    (output,) = compared({"y": FAST}, **keys)
+    assert output.has_sigma is known

@@ -54,7 +54,7 @@ def noted(result):
          "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured .the "
          "intervals allow for that., or something small is missing", "from the model"),
         (replace(RELATED, declared=False, rms_over_sigma=0.06, noise_over_sigma=0.02),
-         "error is 3 x its noise.*0.02; no sigma is declared.*or the sensor noise is coloured",
+         "error is 3 x its noise.*no sigma is declared.*or the sensor noise is coloured",
          "x sigma"),
         (replace(RELATED, lag1=0.02, length=60.0),
          "autocorrelated over about 60 samples .lag 1: 0.02", "at lag 1 with"),
