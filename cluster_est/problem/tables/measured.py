@@ -121,7 +121,8 @@ class MeasuredColumns:
                     else "check that there are measurements below the header"
                 )
             )
-        check_times(times, f"{self.where}: {source}", lambda i: f"row {self._row(i)}")
+        where = f"{self.where}: {source}"
+        check_times(times, where, lambda i: f"row {self._row(i)}", of_rows=not self.table.signals)
         return times
 
     def clock(self, column: str) -> TableTimes:
