@@ -359,7 +359,8 @@ def _disturbance(
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
     if begun:
-        return (f"{begun[0].sentence}; correct the initial state first",)
+        first = "leave out the start" if begun[0].settling else "correct the initial state"
+        return (f"{begun[0].sentence}; {first} first",)
     said = (
         "if the remaining error comes from an unmeasured disturbance, this disturbance causes "
         f"{unexplained[0].sentence}"
