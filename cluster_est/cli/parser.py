@@ -201,7 +201,10 @@ def make_parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, help="table to write (.parquet, .feather or .csv)"
     )
     simulate.add_argument(
-        "--run", dest="run_folder", type=Path, help="use the estimates of this run"
+        "--run",
+        dest="run_folder",
+        type=Path,
+        help="use the estimates of this run, and the effects that close-loop added",
     )
     show = _with_run(_command(commands, "show", "print a run's parameters and errors"))
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
