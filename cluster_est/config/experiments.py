@@ -116,6 +116,7 @@ def _source(
         section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
         named, missing, found, table.reading, _test(section), tuple(notes),
         _units(table, used), _output_gaps(changed, section),
+        tuple((name, changed.unit(each.column)) for name, each in section.signals.items()),
     )  # fmt: skip
     return [source]
 

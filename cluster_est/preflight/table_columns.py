@@ -17,7 +17,6 @@ from cluster_est.preflight.table_column import (
     TableColumn,
     fold,
     split_suffix,
-    split_unit,
     with_suffix,
 )
 from cluster_est.preflight.table_times import (
@@ -38,7 +37,7 @@ from cluster_est.problem.tables.measured_table import (
     Reading,
     UndecidedError,
 )
-from cluster_est.problem.tables.units import conversion, is_known
+from cluster_est.problem.tables.units import conversion, is_known, split_unit
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 

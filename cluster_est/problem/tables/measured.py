@@ -20,6 +20,7 @@ from cluster_est.problem.tables.gaps import STEPS_OF_GAP, RecordGap
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
 from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
+from cluster_est.problem.tables.units import column_unit
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
@@ -151,6 +152,12 @@ class MeasuredColumns:
         """Return the change of a column; its key may be a pattern."""
         own = self.table.resolved(name)
         return next((c for n, c in self.changes.items() if self.table.resolved(n) == own), None)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column; "" if it is not known, or if the numbers are converted."""
+        change = self._change(name) or ColumnChange()
+        converted = (change.factor, change.offset) != (1.0, 0.0)
+        return "" if converted else column_unit(self.table.resolved(name), self.table.units)
 
     def _late(self, name: str) -> float:
         """Return the delay of a column in seconds."""
@@ -435,6 +442,8 @@ class TableSource:
         (column, unit) for units that the file gives with the names.
     gaps
         Gaps in the outputs.
+    signal_units
+        (signal, unit), from `MeasuredColumns.unit`.
     """
 
     experiment: str
@@ -451,6 +460,7 @@ class TableSource:
     notes: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
     gaps: tuple[RecordGap, ...] = ()
+    signal_units: tuple[tuple[str, str], ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, and return its unused columns.
