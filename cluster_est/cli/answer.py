@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 from typing_extensions import override
 
 Cell = Callable[[dict[str, Any]], str]
@@ -64,8 +65,13 @@ class Answer(ABC):
         """Print a sentence, with line breaks only in a terminal."""
 
     @abstractmethod
-    def table(self, header: list[str], rows: Iterable[Iterable[str]]) -> None:
-        """Print a table without rules; a document contains its numbers in a field instead."""
+    def table(
+        self, header: list[str], rows: Iterable[Iterable[str]], *, fitted: bool = False
+    ) -> None:
+        """Print a table without rules; a document contains its numbers in a field instead.
+
+        `fitted` breaks the text in its cells, so that the table fits into the terminal.
+        """
 
 
 def _print_error(text: str) -> None:
@@ -98,7 +104,17 @@ class PrintedAnswer(Answer):
         self.say(text)
 
     @override
-    def table(self, header: list[str], rows: Iterable[Iterable[str]]) -> None:
+    def table(
+        self, header: list[str], rows: Iterable[Iterable[str]], *, fitted: bool = False
+    ) -> None:
+        if fitted:
+            grid = Table(*header, box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
+            grid.columns[0].no_wrap = True
+            for row in rows:
+                grid.add_row(*row)
+            self.say("")
+            self._console.print(grid)
+            return
         lines = [header, *([*row] for row in rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         self.say("")
@@ -121,5 +137,7 @@ class DocumentAnswer(Answer):
         self.say(text)
 
     @override
-    def table(self, header: list[str], rows: Iterable[Iterable[str]]) -> None:
+    def table(
+        self, header: list[str], rows: Iterable[Iterable[str]], *, fitted: bool = False
+    ) -> None:
         """Print nothing, because the document contains the numbers."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cluster_est.cli.answer import Answer
@@ -41,6 +42,7 @@ SYMBOLS = (
     "unless it has `fixed = true`."
 )
 EVERY_FORM = FORMS | PROCESS_NOISE
+FormKey = tuple[SiteKind, str]
 
 
 def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
@@ -117,44 +119,61 @@ def _comment(coefficient: FormCoefficient) -> str:
 
 def forms(options: Namespace, answer: Answer) -> int:
     """List the forms, or describe one with a block for a config."""
-    chosen = {
-        key: form
-        for key, form in EVERY_FORM.items()
-        if options.form in (None, key[1]) and options.site in (None, key[0])
-    }
+    here = {key: form for key, form in EVERY_FORM.items() if options.site in (None, key[0])}
+    chosen = {key: form for key, form in here.items() if options.form in (None, key[1])}
+    listed = options.form is None
     if not chosen:
-        known = [name for kind, name in EVERY_FORM if options.site in (None, kind)]
-        where = f" at sites of the kind {options.site}" if options.site else ""
-        raise ConfigError(
-            f"forms: {options.form!r} must be a form{where}, but is "
-            f"not{nearest(str(options.form), dict.fromkeys(known))}"
-        )
+        chosen, listed = _about(options.form, here), True
+        if not chosen:
+            known = dict.fromkeys(w for (_, name), f in here.items() for w in (name, f.family))
+            where = f" at sites of the kind {options.site}" if options.site else ""
+            raise ConfigError(
+                f"forms: {options.form!r} must be a form{where}, or a word of its description, but "
+                f"is not{nearest(str(options.form), known)}"
+            )
+        answer.say(f"no form is called {options.form!r}; its family or description contains it:")
     answer.add(forms=[_entry(kind, form) for (kind, _), form in chosen.items()])
     for kind, (site, meaning) in SITES.items():
-        here = [form for (at, _), form in chosen.items() if at == kind]
-        if not here:
+        forms_here = [form for (at, _), form in chosen.items() if at == kind]
+        if not forms_here:
             continue
         answer.say("")
-        answer.say(f"{site}: {meaning.replace('`', '')}")
-        if options.form is None:
-            answer.table(
-                ["form", "equation", "coefficients"],
-                [
-                    (
-                        form.name,
-                        "; ".join(equations(kind, form)),
-                        "; ".join(map(coefficient_in_words, form.coefficients)),
-                    )
-                    for form in here
-                ],
-            )
-        for form in here if options.form is not None else ():
+        answer.tell(f"{site}: {meaning.replace('`', '')}")
+        if listed:
+            _list(answer, kind, forms_here)
+        for form in () if listed else forms_here:
             _describe(answer, kind, form)
     answer.say("")
-    answer.say(SYMBOLS.replace("`", ""))
-    if options.form is None:
+    answer.tell(SYMBOLS.replace("`", ""))
+    if listed:
         answer.say("to describe one form, with a block for a config: cluster-est forms FORM")
     return ExitCode.DONE
+
+
+def _about(word: str, forms: Mapping[FormKey, EffectForm]) -> dict[FormKey, EffectForm]:
+    """Return the forms with a word in their name, family or description."""
+    word = word.lower()
+    return {
+        key: form
+        for key, form in forms.items()
+        if word in f"{form.name} {form.family} {_law(form)}".lower()
+    }
+
+
+def _list(answer: Answer, kind: SiteKind, forms: Sequence[EffectForm]) -> None:
+    answer.table(
+        ["form", "family", "equation", "coefficients"],
+        [
+            (
+                form.name,
+                form.family,
+                "; ".join(equations(kind, form)),
+                "; ".join(map(coefficient_in_words, form.coefficients)),
+            )
+            for form in forms
+        ],
+        fitted=True,
+    )
 
 
 def _describe(answer: Answer, kind: SiteKind, form: EffectForm) -> None:

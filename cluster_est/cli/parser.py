@@ -77,7 +77,7 @@ EXAMPLES = {
         "sweep sweep.toml --out runs/sweep --retry-failed --fail-if 'worst_rmse_test > 1.5'",
     ),
     "replay": ("show runs/first --failures", "replay runs/first 17"),
-    "forms": ("forms", "forms coulomb", "forms --site input"),
+    "forms": ("forms", "forms coulomb", "forms friction", "forms --site input"),
 }
 """Lines for the help of each command."""
 
@@ -201,7 +201,10 @@ def make_parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, help="table to write (.parquet, .feather or .csv)"
     )
     simulate.add_argument(
-        "--run", dest="run_folder", type=Path, help="use the estimates of this run"
+        "--run",
+        dest="run_folder",
+        type=Path,
+        help="use the estimates of this run, and the effects that close-loop added",
     )
     show = _with_run(_command(commands, "show", "print a run's parameters and errors"))
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
@@ -457,14 +460,10 @@ def _add_export(commands: Commands) -> None:
 def _add_forms(commands: Commands) -> None:
     summary = "list the forms of effects, with their sites and coefficients"
     forms = _command(commands, "forms", summary)
-    forms.add_argument(
-        "form", metavar="FORM", nargs="?", help="describe this form, and print a block for a config"
-    )
-    forms.add_argument(
-        "--site",
-        choices=get_args(SiteKind),
-        help="list only forms for this kind of site",
-    )
+    one = "describe this form, with a block for a config; or list the forms on a word, as friction"
+    forms.add_argument("form", metavar="FORM", nargs="?", help=one)
+    kinds = get_args(SiteKind)
+    forms.add_argument("--site", choices=kinds, help="list only forms for this kind of site")
 
 
 def _add_moved_config(command: argparse.ArgumentParser) -> None:

@@ -29,16 +29,19 @@ from cluster_est.cli.terminal import (
 )
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_resources
-from cluster_est.config.reader import read_config
+from cluster_est.config.reader import config_folder, read_config
+from cluster_est.config.sections import Config
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.results.output_errors import Simulation
+from cluster_est.run_folder.logged_simulation import with_found_effects
 from cluster_est.run_folder.run_files import (
     SWEEP_SUMMARY_FILE,
     Rows,
     RunStatus,
     check_has_estimates,
+    read_facts,
     read_run_table,
 )
 from cluster_est.run_folder.run_identity import RunKind
@@ -166,7 +169,10 @@ def simulate(options: Namespace, answer: Answer) -> int:
     writer = _table_writer(out)
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file, but is a folder; choose a file")
-    problem = build_problem(config, options.config.parent, allow_code=options.allow_code)
+    if options.run_folder is not None:
+        config = _with_effects_of_run(config, options.run_folder, answer)
+    base = config_folder(options.config)
+    problem = build_problem(config, base, allow_code=options.allow_code)
     values = {} if options.run_folder is None else read_estimates(options.run_folder, problem)
     simulations = list(run_simulate(problem, resources, values).values())
     for simulation in simulations:
@@ -187,6 +193,21 @@ def simulate(options: Namespace, answer: Answer) -> int:
     answer.add(out=out, rows=table.num_rows)
     answer.say(f"{out}: {table.num_rows} rows")
     return ExitCode.DONE if len(good) == len(simulations) else ExitCode.NO_SOLUTION
+
+
+def _with_effects_of_run(config: Config, run_folder: Path, answer: Answer) -> Config:
+    """Add the effects that a closed loop found to the config, and say so."""
+    if not (run_folder / "run.json").is_file():
+        return config  # a message on the estimates follows
+    whole = with_found_effects(config, read_facts(run_folder))
+    added = [section.name for section in whole.effects[len(config.effects) :]]
+    if added:
+        several = "effects" if len(added) > 1 else "effect"
+        answer.complain(
+            f"--run: the {several} {', '.join(added)} of the run in {run_folder} "
+            f"{'are' if len(added) > 1 else 'is'} added to the config"
+        )
+    return whole
 
 
 def _simulated(problem: Problem, simulation: Simulation) -> dict[str, Any]:
@@ -221,7 +242,7 @@ def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
     if strange:
         raise RunFolderError(
             f"--run: the run in {run_folder} also estimated {', '.join(strange)}, which the config "
-            "does not declare; add the run's [[effects]] and parameters to the config"
+            f"does not declare; use the config of the run, {run_folder / 'config.toml'}"
         )
     return {row["label"]: row["value"] for row in rows}
 

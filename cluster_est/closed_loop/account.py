@@ -66,6 +66,7 @@ from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.initial_errors import InitialError, initial_errors, initial_notes
+from cluster_est.results.record_faults.find import too_few_records
 from cluster_est.results.result import Result
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation
 from cluster_est.uncertainty import examine
@@ -362,7 +363,8 @@ def _disturbance(
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
     if begun:
-        return (f"{begun[0].sentence}; correct the initial state first",)
+        first = "leave out the start" if begun[0].settling else "correct the initial state"
+        return (f"{begun[0].sentence}; {first} first",)
     said = (
         "the cause may also be an unmeasured disturbance; it would have to change "
         f"{unexplained[0].sentence}"
@@ -396,7 +398,8 @@ def _notes(
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun)
         if leaves_more_than_noise(fitted, fitter.noise_floor(noise)):
-            notes = (*notes, where_left(fitter, fitted), NOT_ALLOWED_FOR)
+            few = too_few_records(after.problem)
+            notes = (*notes, *few, where_left(fitter, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))

@@ -14,7 +14,7 @@ from cluster_est.config.choices import UserCode, build_cost, build_prior
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.experiment_keys import OutputSection
 from cluster_est.config.experiments import build_experiments, find_file
-from cluster_est.config.reader import read_config
+from cluster_est.config.reader import config_folder, read_config
 from cluster_est.config.sections import (
     Config,
     ConstraintSection,
@@ -51,7 +51,8 @@ def read_problem(
     Parameters
     ----------
     path
-        The TOML file; paths in it are relative to its folder.
+        The TOML file; paths in it are relative to its folder. For the config.toml of a run, they
+        are relative to the folder of the run's original config.
     overrides
         "key=value" with dots in the key, as on the command line.
     allow_code
@@ -63,7 +64,8 @@ def read_problem(
         If the config, a file or a name in it is wrong.
     """
     path = as_path(path, "config", ConfigError)
-    return build_problem(read_config(path, overrides), path.parent, allow_code=allow_code)
+    base = config_folder(path)
+    return build_problem(read_config(path, overrides), base, allow_code=allow_code)
 
 
 def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Problem:

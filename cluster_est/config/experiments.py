@@ -117,6 +117,7 @@ def _source(
         named, missing, found, table.reading, _test(section), tuple(notes),
         _units(table, used), _output_gaps(changed, section),
         tuple((f"inputs.{n}.time", each.time) for n, each in section.inputs.items() if each.time),
+        tuple((name, changed.unit(each.column)) for name, each in section.signals.items()),
     )  # fmt: skip
     return [source]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,7 @@ from cluster_est.problem.tables.measured import (
 )
 from cluster_est.settings import checked
 from cluster_est.toml import dotted
+from cluster_est.whole_files import is_sealed
 from workers.fmu.description import nearest
 from workers.messages import Value
 from workers.messages.checks import as_path, as_tuple, shown
@@ -68,11 +70,28 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
     open_ = list(unfilled(raw, text, str(path)))
     if open_:
         raise ConfigError("\n".join(open_))
-    raw = with_every_experiment(raw, path.parent)
+    base = config_folder(path)
+    raw = with_every_experiment(raw, base)
     for change in late:
         override(raw, change)
-    tree, units = with_values_of_files(raw, path.parent)
+    tree, units = with_values_of_files(raw, base)
     return parse_config(tree, str(path)).with_units_of_files(units)
+
+
+def config_folder(path: Path) -> Path:
+    """Return the folder to which the paths in a config are relative.
+
+    It is the folder of the config. For the config in a run folder, it is the folder of the run's
+    original config, which run.json records.
+    """
+    facts = path.parent / "run.json"
+    try:
+        if path.name != "config.toml" or not is_sealed(path.read_bytes()):
+            return path.parent
+        known = json.loads(facts.read_bytes())["config_folder"]
+        return Path(known) if known and Path(known).is_dir() else path.parent
+    except (OSError, ValueError, KeyError, TypeError):
+        return path.parent
 
 
 def _changed(raw: dict[str, Any], change: str) -> bool:

@@ -18,7 +18,6 @@ import numpy as np
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import parse_config
-from cluster_est.config.sections import EffectSection
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.declared_effects import equation_text
 from cluster_est.problem.parameter import Parameter
@@ -26,7 +25,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.unknowns import label_of
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.results.fit_tables import Estimate
-from cluster_est.run_folder.logged_simulation import config_base
+from cluster_est.run_folder.logged_simulation import config_base, with_found_effects
 from cluster_est.run_folder.run_files import (
     check_has_estimates,
     read_config_text,
@@ -435,11 +434,7 @@ def _problem(run_folder: Path, facts: Row, config: Path | None, *, allow_code: b
         raise RunFolderError(
             f"{path}: cannot be read ({error}); this file is a part of the run, so restore it"
         ) from error
-    resolved = parse_config(raw, str(path))
-    found = [tomllib.loads(effect["config"])["effects"][0] for effect in facts.get("effects", [])]
-    names = {section.name or section.form for section in resolved.effects}
-    added = [EffectSection(**each) for each in found if each["name"] not in names]
-    resolved = resolved.model_copy(update={"effects": [*resolved.effects, *added]})
+    resolved = with_found_effects(parse_config(raw, str(path)), facts)
     return build_problem(resolved, config_base(run_folder, config), allow_code=allow_code)
 
 

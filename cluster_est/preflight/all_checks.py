@@ -44,6 +44,7 @@ from cluster_est.results.initial_errors import (
     free_start_advice,
     initial_errors,
     noise_of_samples,
+    start_advice,
 )
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.resources import Resources
@@ -104,7 +105,7 @@ def starts_elsewhere(
     if not found:
         return []
     said = f"{found[0].sentence}, at the start values"
-    return [note("start", said, free_start_advice(subject.problem))]
+    return [note("start", said, start_advice(subject.problem, found[0]))]
 
 
 def _though(experiment: Experiment) -> str:

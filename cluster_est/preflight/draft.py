@@ -10,10 +10,10 @@ from pathlib import Path
 
 from cluster_est.errors import DataError, ModelError
 from cluster_est.preflight.draft_sources import DraftSource, KnownParameter, sources
-from cluster_est.preflight.table_column import TableColumn, split_unit
+from cluster_est.preflight.table_column import TableColumn
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
 from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS, Reading
-from cluster_est.problem.tables.units import conversion
+from cluster_est.problem.tables.units import conversion, split_unit
 from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Role

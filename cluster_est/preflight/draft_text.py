@@ -15,11 +15,11 @@ from cluster_est.preflight.draft import (
     DraftExperiment,
     ParameterCandidate,
 )
-from cluster_est.preflight.table_column import TableColumn, fold, split_unit
+from cluster_est.preflight.table_column import TableColumn, fold
 from cluster_est.preflight.table_columns import ColumnMatch
 from cluster_est.preflight.table_times import DAYS_OR_SECONDS, TIME_COLUMN_NAMES
 from cluster_est.problem.tables.stand_ins import written
-from cluster_est.problem.tables.units import conversion, same_unit
+from cluster_est.problem.tables.units import conversion, same_unit, split_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable

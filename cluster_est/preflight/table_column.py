@@ -7,10 +7,6 @@ from dataclasses import dataclass, replace
 
 from cluster_est.problem.tables.units import UNIT_SUFFIXES, conversion, is_known
 
-_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
-_AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
-
-
 MOST_PARTS = 3
 """Largest number of parts of a name that may be a unit, such as "rad_per_s"."""
 
@@ -78,14 +74,6 @@ class TableColumn:
 def fold(name: str) -> str:
     """Return a name without case, blanks, underscores, brackets: "motorspeed" of "Motor_Speed"."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Return "force" and "N" of "force [N]"; the unit is "" if the name has no unit."""
-    found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
-    if found is None or not found.group(1).strip():
-        return name, ""
-    return found.group(1).strip(), found.group(2).strip()
 
 
 def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:

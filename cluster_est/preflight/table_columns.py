@@ -17,7 +17,6 @@ from cluster_est.preflight.table_column import (
     TableColumn,
     fold,
     split_suffix,
-    split_unit,
     with_suffix,
 )
 from cluster_est.preflight.table_times import (
@@ -42,7 +41,7 @@ from cluster_est.problem.tables.measured_table import (
 )
 from cluster_est.problem.tables.sparse_inputs import is_sparse
 from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
-from cluster_est.problem.tables.units import conversion, is_known
+from cluster_est.problem.tables.units import conversion, is_known, split_unit
 from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.fmu.variable import ModelVariable

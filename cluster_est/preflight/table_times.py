@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import DataError
-from cluster_est.preflight.table_column import TableColumn, fold, split_unit, with_suffix
+from cluster_est.preflight.table_column import TableColumn, fold, with_suffix
 from cluster_est.problem.tables.cells import MISSING, is_text, looks_like_a_number, without_groups
 from cluster_est.problem.tables.measured_table import Column, MeasuredTable, UndecidedError
 from cluster_est.problem.tables.time_stamps import Stamps, read_stamps
 from cluster_est.problem.tables.times import JOINT, read_times
-from cluster_est.problem.tables.units import conversion
+from cluster_est.problem.tables.units import conversion, split_unit
 from workers.messages import FloatArray
 
 TIME_COLUMN_NAMES = (

@@ -20,13 +20,14 @@ from cluster_est.preflight.subject import (
     note,
     unanswered,
 )
-from cluster_est.preflight.table_column import split_suffix, split_unit
+from cluster_est.preflight.table_column import split_suffix
 from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.units import (
     UnitConversion,
     conversion,
     likely_conversions,
     same_unit,
+    split_unit,
 )
 from cluster_est.results.output_errors import Simulation
 from cluster_est.toml import dotted

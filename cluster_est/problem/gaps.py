@@ -263,5 +263,6 @@ def _driving(given: Input, start: float, stop: float) -> Input:
 
 def _said(experiment: Experiment, gap: InputGap, treatment: Treatment, why: str = "") -> RecordGap:
     return RecordGap(
-        experiment.record_id, gap.first, gap.last, gap.missing, treatment, gap.moving, why
-    )
+        experiment.record_id, gap.first, gap.last, gap.missing, treatment, gap.moving, why,
+        gap.row_step,
+    )  # fmt: skip

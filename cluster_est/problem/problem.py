@@ -224,6 +224,19 @@ class Problem:
         return tuple(f"{said}: {do}" if do else said for said, do in found)
 
     @property
+    def signal_units(self) -> dict[str, str]:
+        """Units of measured signals: those that the user gives, or those in the tables.
+
+        A signal with several units in the tables has none.
+        """
+        found: dict[str, set[str]] = {}
+        for table in self.tables:
+            for name, unit in table.signal_units:
+                found.setdefault(name, set()).add(unit)
+        known = {name: min(units) for name, units in found.items() if len(units) == 1}
+        return known | dict(self.units)
+
+    @property
     def columns(self) -> dict[str, str]:
         """The known columns of the tables, by the keys of a config."""
         return {

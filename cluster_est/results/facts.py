@@ -16,11 +16,13 @@ from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.interpolation import interpolation_facts
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
+from cluster_est.results.record_faults.find import too_few_records
 from cluster_est.results.solver_error.measure import solver_facts
 from cluster_est.results.wrong_phase import wrong_phase_notes
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,
+    ResidualStructure,
     residual_sentences,
 )
 
@@ -130,6 +132,9 @@ def fit_notes(result: Result) -> tuple[str, ...]:
         blamed = "" if other is None else f"input {other.variable} has the wrong interpolation, or "
         notes += interpolation_sentences(result)
         notes += residual_sentences(result.diagnostics, blamed)
+        missing = ResidualStructure.MISSING
+        if any(o.structure is missing for o in result.diagnostics.findings):
+            notes += () if result.record_faults else too_few_records(problem)
     notes += observation_notes(problem, result.simulations)
     notes += prior_sentences(problem, result.estimates)
     if result.solver_error is not None:

@@ -16,7 +16,6 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.running.multistart import MultistartResult
 from cluster_est.running.search_state import assemble_evaluation
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
-from workers.fmu.description import describe_model
 from workers.messages import FloatArray
 from workers.messages.types import by_content
 
@@ -328,14 +327,13 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
         return {}
     from workers.effects import definition as effects  # SymPy takes long to import
 
-    model = problem.model
-    description = describe_model(model)
+    description = problem.describe()
     found: dict[str, str] = {}
     for definition in effects.define_all(
-        problem.effects, description, model.interface, problem.experiments
+        problem.effects, description, problem.model.interface, problem.experiments
     ):
         names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
-        texts = effects.coefficient_units(definition, description)
+        texts = effects.coefficient_units(definition, description, problem.signal_units)
         pairs = zip(names, texts, strict=True)
         found |= {name: "" if effects.UNKNOWN_UNIT in unit else unit for name, unit in pairs}
     return found

@@ -2,6 +2,7 @@
 
 The error of a wrong initial state decays or remains as an offset. It looks like a missing effect,
 and no parameter removes it. At the first sample, the residual contains only this error and noise.
+If the error of one output decays while all other outputs fit, its sensor probably has to settle.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
@@ -26,6 +28,15 @@ OUTSTANDING = 1.5
 fitted model. An error that remains is an offset. A sine is 1.4 times its own root mean square."""
 INITIAL_ERROR_OVER_SPREAD = 0.2
 """Least ratio of an error at the first sample to the measured standard deviation, before a fit."""
+FEWEST_SAMPLES = 5
+"""Least number of samples that show that an error has decayed."""
+FEW_LARGE = 0.1
+"""Largest share of larger errors after an error has decayed."""
+LONGEST_SETTLING = 0.25
+"""Longest settling time of a sensor, over the length of the record."""
+IN_PROPORTION = 0.2
+"""Largest ratio of another output's error at the start to the error of the output that settles,
+each over the standard deviation of its measured values."""
 MOST_NAMED_STATES = 3
 """Largest number of states that a sentence names."""
 
@@ -44,6 +55,10 @@ class InitialError:
         The largest error at a first sample, over the noise.
     found, count
         Number of experiments with such an error, and of all whose initial state is not estimated.
+    settling
+        Seconds until the error is noise, if all other outputs fit from the start; otherwise 0.
+    others
+        These other outputs.
     """
 
     output: str
@@ -52,11 +67,23 @@ class InitialError:
     over_noise: float
     found: int
     count: int
+    settling: float = 0.0
+    others: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """The size of the error, and the experiments, as a sentence."""
         size = f"{self.distance:.3g} {self.unit}".strip()
+        if self.settling:
+            runs = "experiments" if self.count > 1 else "experiment"
+            fit = "fits" if len(self.others) == 1 else "fit"
+            return (
+                f"at the start of {self.found} of {self.count} {runs}, only {self.output} differs "
+                f"from the model: at the first sample, it is off by up to {size}, "
+                f"{self.over_noise:.3g} times its noise, and this error decays within about "
+                f"{self.settling:g} s, while {' and '.join(self.others)} {fit} from the first "
+                "sample"
+            )
         several = "experiments begin" if self.count > 1 else "experiment begins"
         where = f"{self.found} of {self.count} {several}"
         return (
@@ -83,24 +110,26 @@ def initial_errors(
         return ()
     description = problem.describe()
     space = make_space(problem, tuple(range(len(problem.experiments))))
-    offs: dict[str, list[tuple[float, float]]] = {}
+    begins: dict[str, list[_Begin]] = {}
     for each in simulations:
         if estimates_start(space, each.experiment, description):
             continue
         experiment = problem.experiments[each.experiment]
-        for output in experiment.outputs:
-            residuals = None if output.ordinal else output_residuals(output, each.outcome)
-            if residuals is not None and _begins(experiment, output):
-                offs.setdefault(output.variable, []).append(
-                    _off(output, residuals * output.sigmas, fitted=fitted)
-                )
+        for begin in _begins_of(experiment, each, fitted=fitted):
+            begins.setdefault(begin.output, []).append(begin)
     found = []
-    for name, sizes in offs.items():
-        far = [size for size in sizes if size[0] > 0.0]
-        if far and 2 * len(far) >= len(sizes):
-            distance, over_noise = max(far)
-            unit = description.variables[name].unit
-            found.append(InitialError(name, unit, distance, over_noise, len(far), len(sizes)))
+    for name, own in begins.items():
+        far = [each for each in own if each.distance > 0.0]
+        if far and 2 * len(far) >= len(own):
+            worst = max(far, key=lambda each: (each.distance, each.over_noise))
+            alone = all(each.settling for each in far)
+            found.append(
+                InitialError(
+                    name, description.variables[name].unit, worst.distance, worst.over_noise,
+                    len(far), len(own), max(each.settling for each in far) if alone else 0.0,
+                    worst.others if alone else (),
+                )
+            )  # fmt: skip
     return tuple(sorted(found, key=lambda each: -each.over_noise))
 
 
@@ -109,7 +138,21 @@ def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[
     found = initial_errors(problem, simulations, fitted=True)
     if not found:
         return ()
-    return (f"{found[0].sentence}, but later errors are smaller: {free_start_advice(problem)}",)
+    but = "" if found[0].settling else ", but later errors are smaller"
+    return (f"{found[0].sentence}{but}: {start_advice(problem, found[0])}",)
+
+
+def start_advice(problem: Problem, error: InitialError) -> str:
+    """Return advice on an error at the first sample."""
+    if not error.settling:
+        return free_start_advice(problem)
+    others = " and ".join(error.others)
+    do = "depends" if len(error.others) == 1 else "depend"
+    return (
+        f"if {others} {do} on the same initial states, these are right, and the sensor or the "
+        f"logger of {error.output} needs time to settle: leave it out with warm_up = "
+        f"{error.settling:g} in experiment_defaults; otherwise {free_start_advice(problem)}"
+    )
 
 
 def free_start_advice(problem: Problem) -> str:
@@ -162,6 +205,85 @@ def noise_of_samples(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
 
 
+@dataclass(frozen=True)
+class _Begin:
+    """The start of one output of one experiment; a distance of 0 is no error.
+
+    The other attributes are those of `InitialError`.
+    """
+
+    output: str
+    distance: float
+    over_noise: float
+    settling: float = 0.0
+    others: tuple[str, ...] = ()
+
+
+def _begins_of(experiment: Experiment, simulation: Simulation, *, fitted: bool) -> list[_Begin]:
+    """Return the starts of the outputs of an experiment."""
+    errors: dict[str, FloatArray] = {}
+    outputs = {output.variable: output for output in experiment.outputs if not output.ordinal}
+    for name, output in outputs.items():
+        residuals = output_residuals(output, simulation.outcome)
+        if residuals is not None and _begins(experiment, output):
+            errors[name] = residuals * output.sigmas
+    found = {name: _off(outputs[name], own, fitted=fitted) for name, own in errors.items()}
+    begins = []
+    for name, (distance, over_noise) in found.items():
+        settling, others = 0.0, tuple(n for n in errors if n != name)
+        spread = float(np.std(outputs[name].values))
+        if distance and spread and others and not any(found[n][0] for n in others):
+            until, settling = _settling(outputs[name], errors[name])
+            share = distance / spread
+            right = (_fits(outputs[n], errors[n], until, share) for n in others)
+            settling = settling if settling and all(right) else 0.0
+        begins.append(_Begin(name, distance, over_noise, settling, others if settling else ()))
+    return begins
+
+
+def _settling(output: Output, errors: FloatArray) -> tuple[float, float]:
+    """Return the time of the decay of an error at the first sample, and its settling time.
+
+    The first is the time at which the error is as small as later errors, and remains so for as long
+    again. From it, the second is extrapolated to a third of the noise, as for an exponential decay,
+    in seconds after the first sample. Both are 0 if the error does not decay.
+    """
+    sizes, count = np.abs(errors), len(errors)
+    noise = _noise(output)
+    floor = max(float(np.quantile(sizes[count // 2 :], 0.95)), 3.0 * noise)
+    large = np.flatnonzero(sizes > floor)
+    for i in (large + 1).tolist():
+        if i > LONGEST_SETTLING * count:
+            break
+        again = i + FEWEST_SAMPLES
+        if np.count_nonzero((large >= i) & (large < i + again)) <= FEW_LARGE * again:
+            until = float(output.times[i] - output.times[0])
+            ratio = np.log(3.0 * sizes[0] / noise) / np.log(sizes[0] / floor) if noise else 1.0
+            settling = float(np.format_float_positional(until * ratio, 2, fractional=False))
+            longest = LONGEST_SETTLING * (output.times[-1] - output.times[0])
+            return (until, settling) if settling <= longest else (0.0, 0.0)
+    return 0.0, 0.0
+
+
+def _fits(output: Output, errors: FloatArray, until: float, share: float) -> bool:
+    """Return whether an output fits at the start, for twice the decay of another output's error.
+
+    `share` is the other output's error at the first sample over its standard deviation.
+    """
+    early: npt.NDArray[np.bool_] = output.times <= output.times[0] + 2.0 * until
+    spread = float(np.std(output.values))
+    if np.count_nonzero(early) < FEWEST_SAMPLES or spread == 0.0:
+        return False
+    later = float(np.sqrt(np.mean(errors[len(errors) // 2 :] ** 2)))
+    size = float(np.sqrt(np.mean(errors[early] ** 2)))
+    least = max(OUTSTANDING * later, 3.0 * _noise(output))
+    return size <= min(least, IN_PROPORTION * share * spread)
+
+
+def _noise(output: Output) -> float:
+    return float(output.sigmas[0]) if output.has_sigma else noise_of_samples(output.values)
+
+
 def _begins(experiment: Experiment, output: Output) -> bool:
     """Return whether an output is measured at the start of its experiment or one sample later."""
     if len(output.times) < 4:
@@ -172,7 +294,7 @@ def _begins(experiment: Experiment, output: Output) -> bool:
 
 def _off(output: Output, errors: FloatArray, *, fitted: bool) -> tuple[float, float]:
     """Return the error of a first sample and its ratio to the noise; zeros if it is too small."""
-    noise = float(output.sigmas[0]) if output.has_sigma else noise_of_samples(output.values)
+    noise = _noise(output)
     first = abs(float(errors[0]))
     later = float(np.sqrt(np.mean(errors[len(errors) // 2 :] ** 2)))
     least = (

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import tomllib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -15,7 +16,7 @@ from cluster_est.closed_loop.long_records import ways_to_thin
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import read_config
-from cluster_est.config.sections import Config
+from cluster_est.config.sections import Config, EffectSection
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.log_replay import simulation_key
 from cluster_est.problem.problem import Problem
@@ -252,6 +253,14 @@ def config_base(run_folder: Path, config: Path | None) -> Path:
             "the config with --config"
         )
     return Path(known)
+
+
+def with_found_effects(config: Config, facts: Mapping[str, Any]) -> Config:
+    """Return a config with the effects that a closed loop added, as its run.json records them."""
+    declared = {section.name or section.form for section in config.effects}
+    found = [tomllib.loads(each["config"])["effects"][0] for each in facts.get("effects", [])]
+    added = [EffectSection(**each) for each in found if each["name"] not in declared]
+    return config.model_copy(update={"effects": [*config.effects, *added]}) if added else config
 
 
 def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Effect, ...]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_method, build_resources
-from cluster_est.config.reader import read_config
+from cluster_est.config.reader import config_folder, read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.problem.problem import Problem
@@ -153,7 +153,8 @@ def read_study(
     ClusterEstError
         If the config has errors.
     """
-    return configure(read_config(path, overrides), path.parent, kind, allow_code=allow_code)
+    base = config_folder(path)
+    return configure(read_config(path, overrides), base, kind, allow_code=allow_code)
 
 
 def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredStudy:

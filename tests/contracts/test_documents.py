@@ -125,7 +125,7 @@ def test_a_document_has_its_fields_and_every_sentence(place, case, capsys, monke
         assert not words or document[name] is None or document[name] in words
     assert (document["command"], document["status"], document["exit_code"]) == (command, "done", 0)
 
-    monkeypatch.setattr(PrintedAnswer, "table", lambda *_: None)
+    monkeypatch.setattr(PrintedAnswer, "table", lambda *_, **__: None)
     for name in ("_searches", "_failures"):
         monkeypatch.setattr(watch_command, name, lambda _: Text(""))
     monkeypatch.setenv("COLUMNS", "1000")

@@ -388,24 +388,29 @@ _WORD = re.compile(r"(site|other|travel|second|v|w|s)(\^[\d.]+)?")
 
 
 def coefficient_units(
-    definition: EffectDefinition, description: ModelDescription
+    definition: EffectDefinition,
+    description: ModelDescription,
+    of_signals: Mapping[str, str] | None = None,
 ) -> tuple[str, ...]:
     """Return the unit of each coefficient of an effect, such as "N/(m/s)^2".
 
     A form's units consist of these words: `site` is the unit of the added term (at a derivative,
     the state's unit over a second; elsewhere, the unit of the signal, like `s`). `other` is the
     same for the second derivative of a pair. `v` and `w` are the units of the variables, `travel`
-    that of the integral of `v` over time, and `second` is a second. "?" replaces a unit that the
-    FMU does not declare. Coefficients of a user's own equation have no unit.
+    that of the integral of `v` over time, and `second` is a second. `of_signals` are the units of
+    measured signals that are not variables of the FMU. "?" replaces a unit that is not known.
+    Coefficients of a user's own equation have no unit.
     """
-    units = _units(definition, description)
+    units = _units(definition, description, of_signals or {})
     return tuple(_fill(c.unit, units) for c in definition.form.coefficients)
 
 
-def _units(definition: EffectDefinition, description: ModelDescription) -> dict[str, str]:
+def _units(
+    definition: EffectDefinition, description: ModelDescription, of_signals: Mapping[str, str]
+) -> dict[str, str]:
     def unit(name: str = "") -> str:
         known = description.variables.get(name)
-        return (known.unit if known is not None else "") or UNKNOWN_UNIT
+        return (known.unit if known is not None else of_signals.get(name, "")) or UNKNOWN_UNIT
 
     site = definition.site
     found = [unit(name) for name in site.targets]

@@ -98,7 +98,9 @@ def _absent(value: object) -> bool:
     return value is None or type(value).__name__ in ("NAType", "NaTType")
 
 
-def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> None:
+def check_times(
+    times: FloatArray, where: str, place: Callable[[int], str], *, of_rows: bool = False
+) -> None:
     """Check that times are finite and strictly increasing.
 
     Parameters
@@ -109,6 +111,8 @@ def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> N
         Start of the error message.
     place
         Converts an index to a place, such as "row 5".
+    of_rows
+        Whether they are the times of a file's rows, which the keys `sample_time` and `rows` change.
 
     Raises
     ------
@@ -127,25 +131,86 @@ def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> N
         how = "repeats" if times[i] == times[i - 1] else "goes back from"
         raise DataError(
             f"{where}, {place(i)}: times must increase, but {times[i]:.9g} {how} "
-            f"{times[i - 1]:.9g} in the row before; {_remedy(times)}"
+            f"{times[i - 1]:.9g} in the row before; {_remedy(times, of_rows)}"
         )
 
 
 COARSE = 0.1
 """Share of rows with the time of the previous row above which the clock is too coarse."""
+ROWS_IN_ORDER = 10
+"""Least mean number of rows between two steps back, if the rows are not simply unsorted."""
+ROWS_APART = 0.75
+"""Least step of sorted rows, in their least step before, if no part is sorted into another."""
+LONG_STEP = 5.0
+"""Length of a step, in usual steps, above which rows may be missing."""
 
 
-def _remedy(times: FloatArray) -> str:
+def _remedy(times: FloatArray, of_rows: bool) -> str:
     """Return advice for times that do not increase."""
     steps = np.diff(times)
     if np.mean(steps == 0.0) > COARSE:
-        return (
-            "many rows have the same time, so give sample_time, the seconds between rows, instead "
-            "of time"
+        return "many rows have the same time, so " + (
+            "give sample_time, the seconds between rows, instead of time"
+            if of_rows
+            else "correct the times"
         )
-    if np.all(steps < 0.0):
+    if np.all(steps <= 0.0):
         return "reverse the order of the rows"
-    return "sort the rows and remove repeated ones"
+    back = np.flatnonzero(steps < 0.0)
+    if not len(back):
+        return "remove the repeated rows"
+    runs = np.split(times, back + 1)
+    once = np.sort(times[np.r_[True, steps != 0.0]])
+    mixed = np.diff(once).min() < ROWS_APART * steps[steps > 0.0].min()
+    if not mixed or len(runs) * ROWS_IN_ORDER > len(times):
+        return "sort the rows and remove repeated ones"
+    usual = float(np.median(steps))
+    if all(abs(float(run[0]) - float(times[0])) <= 2.0 * usual for run in runs):
+        return _of_tests(of_rows)
+    return _of_clock(steps, usual - float(steps[back[0]]), of_rows)
+
+
+def _of_tests(of_rows: bool) -> str:
+    """Return advice for times that begin again."""
+    how = (
+        ' with rows = [FROM, TO], or use split_by = "COLUMN" if a column tells them apart (if it '
+        "is one test whose counter began again, give sample_time instead of time)"
+    )
+    return (
+        "the time begins again there, as in a file with several tests; make an experiment of each "
+        f"test{how if of_rows else ''}"
+    )
+
+
+def _of_clock(steps: FloatArray, amount: float, of_rows: bool) -> str:
+    """Return advice for a clock that was set back: sorting would mix two parts of the record."""
+    even = even_step(steps)
+    said, cure = "are in order", f"add {amount:.6g} to the times from there on"
+    if steps.max() > LONG_STEP * np.median(steps):
+        cure = "correct the times there"
+    elif even and of_rows:
+        said = f"are {even:.6g} s apart"
+        cure = f"give sample_time = {even:.6g}, the seconds between rows, instead of time"
+    return (
+        f"the rows before and after it {said}, so the clock was set back by about {amount:.6g} s; "
+        f"do not sort the rows, but {cure} (only if these rows repeat earlier rows with all their "
+        "values, remove them)"
+    )
+
+
+def even_step(steps: FloatArray) -> float:
+    """Return the seconds between evenly spaced rows; 0 if the spacing is uneven.
+
+    Steps back and long steps are ignored. Without them, no time may be further from a straight line
+    than half a step.
+    """
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    plain = (steps > 0.0) & (steps <= LONG_STEP * usual)
+    if not plain.any():
+        return 0.0
+    mean = float(np.mean(steps[plain]))
+    drift = np.cumsum(np.where(plain, steps - mean, 0.0))
+    return mean if np.max(np.abs(drift)) <= 0.5 * mean else 0.0
 
 
 def check_length(values: FloatArray, times: FloatArray, where: str) -> None:

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from workers.messages import Experiment, FloatArray, Input, Output
+from workers.messages.signals import even_step
 
 LEAST_STEPS = 10
 """Least number of steps of a signal with a known usual step."""
@@ -32,6 +33,9 @@ WITH_OUTPUTS, UNEVEN, REPEATED = 0.5, 3.0, 0.1
 """An input has points at its changes, and not samples, if two conditions hold. It has points at
 fewer than the first share of the outputs' times. The ratio of the 95 % to the 10 % quantile of its
 steps exceeds the second value, or it is held and repeats fewer than the third share of values."""
+NEAR_ROWS, USUAL_CHANGE = 200, 0.95
+"""Number of rows on each side of a gap with which a signal's change across it is compared, and the
+quantile of the changes between these rows that it may not exceed."""
 
 LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
 """Additional units for long gaps."""
@@ -59,6 +63,9 @@ class RecordGap:
         The inputs that may have changed in the gap.
     why
         The reason for the treatment; may be "".
+    row_step
+        If nothing but the times shows the gap, the seconds between the other rows; otherwise 0. The
+        clock may then have been set forward. See `even_row_step`.
     """
 
     record: str
@@ -68,6 +75,7 @@ class RecordGap:
     treatment: Treatment
     moving: tuple[str, ...] = ()
     why: str = ""
+    row_step: float = 0.0
 
     @property
     def interval(self) -> str:
@@ -91,6 +99,8 @@ class InputGap:
         The inputs that may have changed in the gap.
     whole
         Whether nothing was measured in the gap.
+    row_step
+        As in `RecordGap`.
     """
 
     first: float
@@ -98,6 +108,7 @@ class InputGap:
     inputs: tuple[str, ...]
     moving: tuple[str, ...]
     whole: bool
+    row_step: float = 0.0
 
     @property
     def missing(self) -> str:
@@ -178,10 +189,11 @@ def output_gaps(
         for first, last in long_steps(output.times).tolist():
             if stop is None or last <= stop:
                 found.setdefault((first, last), []).append(output.variable)
-    gaps = [
-        RecordGap(record, first, last, named_signals("output", names), "run through")
-        for (first, last), names in sorted(found.items())
-    ]
+    gaps = []
+    for (first, last), names in sorted(found.items()):
+        missing = named_signals("output", names)
+        step = even_row_step(times, (first, last), outputs)
+        gaps.append(RecordGap(record, first, last, missing, "run through", row_step=step))
     if begin is not None and begin > times[0]:
         gaps.insert(0, RecordGap(record, float(times[0]), begin, "", "before"))
     return tuple(gaps)
@@ -245,7 +257,39 @@ def _joined(experiment: Experiment, group: Sequence[tuple[float, float, str, boo
     inside = [bool(np.any((own > first) & (own < last))) for own in times]
     names = tuple(dict.fromkeys(each[2] for each in group))
     moving = tuple(dict.fromkeys(each[2] for each in group if each[3]))
-    return InputGap(first, last, names, moving, not any(inside))
+    rows = np.unique(np.concatenate(times))
+    step = even_row_step(rows, (first, last), (*driving, *experiment.outputs))
+    return InputGap(first, last, names, moving, not any(inside), step)
+
+
+def even_row_step(
+    rows: FloatArray, gap: tuple[float, float], signals: Sequence[Input | Output]
+) -> float:
+    """Return the seconds between rows if a clock may have been set forward; 0 if not.
+
+    The gap must lie between two rows, the other rows must be evenly spaced, and no signal may
+    change more across the gap than between other rows.
+
+    Parameters
+    ----------
+    rows
+        Times of the rows.
+    gap
+        The times before and after the gap.
+    signals
+        The measured signals.
+    """
+    first, last = gap
+    if np.any((rows > first) & (rows < last)):
+        return 0.0
+    for each in signals:
+        i = int(np.searchsorted(each.times, first))
+        near = np.abs(np.diff(each.values[max(i - NEAR_ROWS, 0) : i + NEAR_ROWS]))
+        if each.times[i : i + 2].tolist() != [first, last] or len(near) < LEAST_STEPS:
+            return 0.0
+        if near[min(i, NEAR_ROWS)] > np.quantile(near, USUAL_CHANGE, method="lower"):
+            return 0.0
+    return even_step(np.diff(rows))
 
 
 MOST_NAMED_GAPS, MOST_FINDINGS = 4, 12
@@ -271,12 +315,10 @@ def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
     """Return a sentence, an advice and the treatment for the gaps of each record."""
     groups: dict[tuple[object, ...], list[RecordGap]] = {}
     for gap in gaps:
-        same = gap.record, gap.treatment, gap.missing, gap.moving, gap.why
+        same = gap.record, gap.treatment, gap.missing, gap.moving, gap.why, gap.row_step
         groups.setdefault(same, []).append(gap)
     alike = list(groups.values())
-    found = [
-        (_sentence(own), EFFECTS[t := own[0].treatment][1], t) for own in alike[:MOST_FINDINGS]
-    ]
+    found = [(_sentence(own), _advice(own[0]), own[0].treatment) for own in alike[:MOST_FINDINGS]]
     rest = [gap for own in alike[MOST_FINDINGS:] for gap in own]
     if rest:
         records = len({gap.record for gap in rest})
@@ -284,6 +326,19 @@ def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
         cut = [gap.treatment for gap in rest if gap.treatment != "run through"]
         found.append((said, "", cut[0] if cut else "run through"))
     return found
+
+
+def _advice(gap: RecordGap) -> str:
+    """Return how to change the treatment, and another possible reason for the gap."""
+    advice = EFFECTS[gap.treatment][1]
+    if not gap.row_step:
+        return advice
+    clock = (
+        "if the file has all its rows there, the clock was set forward (the other rows are "
+        f"{gap.row_step:.6g} s apart, and no signal jumps); then give sample_time = "
+        f"{gap.row_step:.6g}, the seconds between rows, instead of time"
+    )
+    return f"{clock}; {advice}" if advice else clock
 
 
 def _sentence(alike: Sequence[RecordGap]) -> str:

@@ -20,6 +20,7 @@ from cluster_est.problem.tables.gaps import STEPS_OF_GAP, RecordGap
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
 from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
+from cluster_est.problem.tables.units import column_unit
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
@@ -121,7 +122,8 @@ class MeasuredColumns:
                     else "check that there are measurements below the header"
                 )
             )
-        check_times(times, f"{self.where}: {source}", lambda i: f"row {self._row(i)}")
+        where = f"{self.where}: {source}"
+        check_times(times, where, lambda i: f"row {self._row(i)}", of_rows=not self.table.signals)
         return times
 
     def clock(self, column: str) -> TableTimes:
@@ -150,6 +152,12 @@ class MeasuredColumns:
         """Return the change of a column; its key may be a pattern."""
         own = self.table.resolved(name)
         return next((c for n, c in self.changes.items() if self.table.resolved(n) == own), None)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column; "" if it is not known, or if the numbers are converted."""
+        change = self._change(name) or ColumnChange()
+        converted = (change.factor, change.offset) != (1.0, 0.0)
+        return "" if converted else column_unit(self.table.resolved(name), self.table.units)
 
     def _late(self, name: str) -> float:
         """Return the delay of a column in seconds."""
@@ -436,6 +444,8 @@ class TableSource:
         Gaps in the outputs.
     clocks
         (config key, column) of each input with its own times, such as ("inputs.u.time", "t_u").
+    signal_units
+        (signal, unit), from `MeasuredColumns.unit`.
     """
 
     experiment: str
@@ -453,6 +463,7 @@ class TableSource:
     units: tuple[tuple[str, str], ...] = ()
     gaps: tuple[RecordGap, ...] = ()
     clocks: tuple[tuple[str, str], ...] = ()
+    signal_units: tuple[tuple[str, str], ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, and return its unused columns.

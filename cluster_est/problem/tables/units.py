@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
@@ -108,6 +109,9 @@ _UNITS |= {
 _UNIT_POWER = re.compile(r"1|(?P<name>.*?[^\d-])(?P<power>-?\d+)?")
 """A unit and its power, such as m3 or s-2."""
 
+_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
+_AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
+
 
 LIKELY = {
     "rad/s": ("rpm", "deg/s"), "rpm": ("rad/s",), "deg/s": ("rad/s",),
@@ -134,6 +138,20 @@ def spelled(unit: str) -> str:
         if text == other or len(other) == 1:
             text = text.replace(other, usual)
     return text
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return "force" and "N" of "force [N]"; the unit is "" if the name has no unit."""
+    found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
+    if found is None or not found.group(1).strip():
+        return name, ""
+    return found.group(1).strip(), found.group(2).strip()
+
+
+def column_unit(name: str, units: Mapping[str, str]) -> str:
+    """Return the unit of a column in its usual notation, from `units` or its name; may be ""."""
+    in_name = split_unit(name)[1]
+    return spelled(units.get(name, "") or (in_name if is_known(in_name) else ""))
 
 
 def is_known(unit: str) -> bool:

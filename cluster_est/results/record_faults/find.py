@@ -10,6 +10,7 @@ import numpy as np
 from cluster_est.errors import BudgetError, ClusterEstError
 from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import SumSquared
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
@@ -17,7 +18,7 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.fitted_records import AT_NOISE, FittedRecords
 from cluster_est.results.record_faults.foreign_source import foreign_source
-from cluster_est.results.record_faults.odd_record import odd_record
+from cluster_est.results.record_faults.odd_record import FEWEST_RECORDS, odd_record
 from cluster_est.results.residual_diagnostics import training_residuals
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
@@ -42,7 +43,7 @@ TESTS: tuple[RecordTest, ...] = (
 
 def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     """Search for faults of records; () if the residual is not more than noise."""
-    if not _can_be_tested(fitted.space) or not fitted.space.size:
+    if not _can_be_tested(fitted.problem, fitted.train) or not fitted.space.size:
         return ()
     if len(fitted.residuals) != fitted.records.size:
         return ()
@@ -86,7 +87,7 @@ def faults_of_fit(
     resources, runner
         Resources and runner of the fit; its workers must still be running.
     """
-    if not _can_be_tested(space):
+    if not _can_be_tested(space.problem, space.experiments):
         return ()
     residuals = training_residuals(space, simulations)
     if residuals is None:
@@ -99,12 +100,31 @@ def faults_of_fit(
     )
 
 
-def _can_be_tested(space: SearchSpace) -> bool:
+def too_few_records(problem: Problem) -> tuple[str, ...]:
+    """Return a note if there are too few training experiments to find a faulty one.
+
+    It is meant for a fit that leaves clearly more than noise.
+    """
+    train = [i for i, each in enumerate(problem.experiments) if each.role == "train"]
+    if len(train) >= FEWEST_RECORDS or not _can_be_tested(problem, train):
+        return ()
+    known = {problem.experiments[i].record_id for i in train}
+    others = [e.id for e in problem.experiments if e.role == "test" and e.record_id not in known]
+    missing = FEWEST_RECORDS - len(train)
+    steps = [f'set role = "train" for {" and ".join(others[:missing])}'] if others else []
+    steps += ["measure more experiments"] if len(others) < missing else []
+    return (
+        f"with fewer than {FEWEST_RECORDS} training experiments, a fault of one record, such as a "
+        "late or scaled column, cannot be told from a missing effect, so no such fault was looked "
+        f"for; to look for one, {' and '.join(steps)}",
+    )
+
+
+def _can_be_tested(problem: Problem, train: Sequence[int]) -> bool:
     """Return whether all residuals are plain differences of outputs over sigma."""
-    problem = space.problem
-    outputs = [o for e in space.experiments for o in problem.experiments[e].outputs]
+    outputs = [o for e in train for o in problem.experiments[e].outputs]
     compared = any(o.free_scale or o.free_offset for o in outputs)
     priors = any(p.prior is not None for p in problem.parameters)
     plain = problem.plain and isinstance(problem.cost, SumSquared) and not noise_names(problem)
-    gaps = any(problem.experiments[e].own_starts for e in space.experiments)
-    return plain and not (compared or priors or gaps or lack_normal_law(problem, space.experiments))
+    gaps = any(problem.experiments[e].own_starts for e in train)
+    return plain and not (compared or priors or gaps or lack_normal_law(problem, train))

@@ -222,13 +222,39 @@ def test_the_original_is_never_written_over(run, export):
     assert original.read_bytes() == before
 
 
-def test_values_of_a_run_with_an_effect_are_not_simulated_without_it(run, tmp_path, capsys):
-    config, out = run.parent / "plain.toml", tmp_path / "curves.csv"
+@pytest.fixture
+def plain(run):
+    """The config of the run without the effect."""
+    config = run.parent / "plain.toml"
     text = (run.parent / "config.toml").read_text(encoding="utf-8")
     config.write_text(text.replace(EFFECT, ""), encoding="utf-8")
-    assert main(["simulate", str(config), "--out", str(out), "--run", str(run)]) == 2
-    assert re.search(r"harder\.k.*add the run's \[\[effects\]\]", capsys.readouterr().err)
+    return config
+
+
+def test_values_of_a_run_with_an_effect_are_not_simulated_without_it(run, plain, tmp_path, capsys):
+    out = tmp_path / "curves.csv"
+    assert main(["simulate", str(plain), "--out", str(out), "--run", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert re.search(r"harder\.k.*use the config of the run, .*config\.toml", said)
     assert not out.exists()
+    of_run = str(run / "config.toml")  # its paths are relative to the original config
+    assert main(["simulate", of_run, "--out", str(out), "--run", str(run)]) == 0
+    assert read_problem(of_run).experiments == read_problem(run.parent / "config.toml").experiments
+
+
+def test_effects_that_a_loop_found_are_added_to_the_config(
+    run, plain, tmp_path, capsys, monkeypatch
+):
+    found = {"effects": [{"name": "harder", "config": EFFECT}]}
+    monkeypatch.setattr("cluster_est.cli.run_commands.read_facts", lambda _: found)
+    tables = []
+    for config in (plain, run / "config.toml"):
+        tables.append(tmp_path / f"{config.stem}.csv")
+        arguments = ["simulate", str(config), "--out", str(tables[-1]), "--run", str(run)]
+        assert main(arguments) == 0
+        said = f"the effect harder of the run in {run} is added to the config"
+        assert (said in capsys.readouterr().err) is (config == plain)
+    assert tables[0].read_bytes() == tables[1].read_bytes()
 
 
 def test_an_fmu_that_has_changed_is_refused(run, export):

@@ -8,7 +8,7 @@ from scipy.signal import StateSpace, lsim
 from support.problems.springs import FMU, TRUE
 
 import cluster_est as ce
-from cluster_est.results.record_faults.find import TESTS
+from cluster_est.results.record_faults.find import TESTS, too_few_records
 
 TIMES = 0.02 * np.arange(300)
 ONE = ce.Resources(workers=1)
@@ -134,6 +134,26 @@ def test_an_effect_that_shows_in_one_record_is_no_fault_of_it():
 def test_two_records_say_nothing_of_which_is_odd():
     found = ce.fit(springs(only(ODD["gain"][0], which=1), count=2), resources=ONE)
     assert not found.record_faults
+    (note,) = [each for each in found.notes if "training experiments" in each]
+    assert "cannot be told from a missing effect" in note
+    assert note.endswith("to look for one, measure more experiments")
+
+
+def test_a_note_names_test_experiments_that_would_show_which_record_is_odd():
+    def roles(problem, *roles):
+        runs = zip(problem.experiments, roles, strict=True)
+        return replace(problem, experiments=tuple(replace(run, role=role) for run, role in runs))
+
+    odd = springs(only(ODD["gain"][0], which=1))
+    found = ce.fit(roles(odd, "train", "train", "test", "test"), resources=ONE)
+    assert any(each.endswith('set role = "train" for run 2') for each in found.notes)
+    (note,) = too_few_records(roles(odd, "train", "test", "test", "test"))
+    assert note.endswith('set role = "train" for run 1 and run 2')
+    (note,) = too_few_records(roles(springs(count=2), "train", "test"))
+    assert note.endswith('set role = "train" for run 1 and measure more experiments')
+    assert too_few_records(roles(odd, "train", "train", "train", "test")) == ()
+    right = ce.fit(roles(springs(), "train", "train", "test", "test"), resources=ONE)
+    assert not any("training experiments" in each for each in right.notes)
 
 
 def test_a_loop_says_it_first_and_looks_for_no_effect():

@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,61 @@ from workers.messages import (
     Solver,
     UserFunction,
 )
+from workers.messages.signals import check_times
 
 T = np.linspace(0.0, 1.0, 5)
 DRIVEN, MEASURED = Input("F", T, T), Output("y", T, T)
+
+
+def refusal(times, *, of_rows=True):
+    with pytest.raises(DataError) as error:
+        check_times(np.asarray(times, float), "run", "row {}".format, of_rows=of_rows)
+    return str(error.value)
+
+
+def set_back(amount, times, at=300):
+    """Times of a clock that was set back once."""
+    return np.where(np.arange(len(times)) < at, times, times - amount)
+
+
+EVEN = 0.01 * np.arange(600)
+JITTERED = np.cumsum(0.01 * (1.0 + 0.5 * np.random.default_rng(0).uniform(-1.0, 1.0, 600)))
+MILLISECONDS = np.round(np.arange(600) / 300.0, 3)  # a step of 3.33 ms, rounded
+
+
+class TestTimes:
+    @pytest.mark.parametrize(
+        ("times", "said"),
+        [
+            (set_back(1.0, EVEN), "back by about 1 s; do not sort.*give sample_time = 0.01,"),
+            (set_back(0.503, EVEN), "back by about 0.503 s; do not sort.*sample_time = 0.01,"),
+            (set_back(0.5, MILLISECONDS), "do not sort.*give sample_time = 0.00333"),
+            (
+                set_back(1.0, JITTERED),
+                r"do not sort.*add (0\.99|1|1\.0)\d* to the times from there",
+            ),
+            (
+                set_back(1.0, np.delete(EVEN, np.r_[400:450])),
+                "do not sort.*but correct the times there",
+            ),
+            (np.r_[EVEN[:300], 2.0, EVEN[301:]], "do not sort.*but correct the times there"),
+            (np.r_[EVEN, EVEN, EVEN], "begins again there, as in a file with several tests"),
+            (np.r_[EVEN[300:], EVEN[:300]], "; sort the rows and remove repeated ones$"),
+            (set_back(0.505, EVEN), "do not sort.*give sample_time = 0.01,"),
+            (np.r_[EVEN[:300], EVEN[310:400], EVEN[300:310], EVEN[400:]], "; sort the rows"),
+            (EVEN[np.random.default_rng(1).permutation(600)], "; sort the rows"),
+            (np.sort(np.r_[EVEN, EVEN[::50]]), "; remove the repeated rows$"),
+            (EVEN[::-1], "; reverse the order of the rows$"),
+            (np.floor(EVEN), "many rows have the same time, so give sample_time,"),
+        ],
+    )
+    def test_advice_agrees_with_the_order_of_the_rows(self, times, said):
+        assert re.search(said, refusal(times))
+
+    @pytest.mark.parametrize("times", [set_back(1.0, EVEN), np.r_[EVEN, EVEN], np.floor(EVEN)])
+    def test_times_without_rows_are_not_advised_to_change_keys(self, times):
+        assert "sample_time" not in refusal(times, of_rows=False)
+        assert "sort the rows and" not in refusal(times, of_rows=False)
 
 
 class TestSamples:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from support.run_folders import SPRING
 
+from cluster_est.cli import main
 from cluster_est.cli.criterion import Criterion
 from cluster_est.cli.entry_point import COMMANDS
 from cluster_est.cli.forms_command import EVERY_FORM, SITES, config_block
@@ -89,3 +90,36 @@ def test_every_size_that_is_to_be_filled_in_says_where_to_begin():
         for each in form.coefficients:
             if each.scale not in (None, *WITHOUT_SCALE):
                 assert f"x {each.scale.value}" in config_block(kind, form)
+
+
+@pytest.mark.parametrize(
+    ("word", "found", "absent"),
+    [
+        ("friction", {"coulomb", "stribeck", "dahl"}, {"radiation", "drift"}),
+        ("Hysteresis", {"dahl", "hysteresis"}, {"coulomb"}),
+        ("lag", {"lag"}, {"coulomb"}),  # a form of this name is described
+    ],
+)
+def test_forms_are_found_by_a_word_of_their_description(word, found, absent, capsys):
+    assert main(["forms", word]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first = {line.split(maxsplit=1)[0] for line in lines if line and not line.startswith(" ")}
+    assert found <= first
+    assert not absent & first
+    assert any(line == "[[effects]]" for line in lines) is (word == "lag")
+
+
+def test_a_misspelt_word_is_compared_with_names_and_families(capsys):
+    assert main(["forms", "frcition"]) == 2
+    assert "did you mean 'friction'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("width", [90, 140])
+def test_the_list_of_forms_fits_the_terminal(width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert main(["forms", "--site", "derivative"]) == 0
+    out = capsys.readouterr().out
+    table = out[out.index("form ") : out.index("In the equations")].splitlines()
+    assert max(map(len, table)) <= width
+    named = {line.split()[0] for line in table if line[:1].strip()}
+    assert {name for kind, name in EVERY_FORM if kind == "derivative"} <= named

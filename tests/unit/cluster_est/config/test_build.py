@@ -10,6 +10,7 @@ from support.spoiled import ROWS, spoiled_fmu, spoiled_tree, write_input
 from cluster_est import read_config, read_problem
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError
+from cluster_est.results.fit_tables import coefficient_units
 from cluster_est.toml import to_toml
 
 A = "experiments.0"
@@ -71,6 +72,31 @@ def test_units_of_the_config_take_the_place_of_the_fmus(tmp_path):
     assert (described.variables["v"].unit, described.variables["x"].unit) == ("km/h", "m")
     assert described.file == FMU.name
     assert dict(problem.units) == {"v": "km/h", "wind": "m/s"}
+
+
+@pytest.mark.parametrize(
+    ("header", "changes", "unit"),
+    [
+        ("time,force,position,sun\ns,N,m,W/m²\n", {}, "W/m2"),
+        ("time,force,position,sun [W/m2]\n", {f"{A}.signals": {"sun": "sun [W/m2]"}}, "W/m2"),
+        ("time,force,position,sun\n", {"model.units": {"sun": "lx"}}, "lx"),
+        ("time,force,position,sun\ns,N,m,W/m2\n", {"model.units": {"sun": "lx"}}, "lx"),
+        ("time,force,position,sun\n", {}, ""),
+        # the numbers are in another unit then
+        ("time,force,position,sun\ns,N,m,W/m2\n", {f"{A}.columns": {"sun": {"factor": 2.0}}}, ""),
+    ],
+)
+def test_a_coefficient_of_a_signal_has_the_unit_of_the_table_or_config(
+    tmp_path, header, changes, unit
+):
+    effect = {"name": "sunny", "site": "der(v)", "form": "linear", "variables": ["sun"]}
+    effect["parameters"] = {"k": {"start": 0.1}}
+    rows = header + "0,1,2,3\n1,2,3,5\n2,1,2,4\n3,1,3,6\n"
+    changes = {f"{A}.signals": {"sun": "sun"}, "effects": [effect], **changes}
+    problem = build(tmp_path, changes, rows)
+    assert problem.signal_units == {"sun": unit}
+    expected = f"m/s^2/({unit})" if "/" in unit else f"m/s^2/{unit}" if unit else ""
+    assert coefficient_units(problem) == {"sunny.k": expected}
 
 
 def test_unused_columns_of_a_file_are_read_with_their_times(tmp_path):

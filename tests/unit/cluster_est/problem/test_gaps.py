@@ -13,7 +13,13 @@ from cluster_est.html_report.scales import Scale
 from cluster_est.preflight.table_columns import read_columns
 from cluster_est.problem.gaps import split_at_gaps
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.tables.gaps import RecordGap, gap_findings, input_gaps, long_steps
+from cluster_est.problem.tables.gaps import (
+    RecordGap,
+    gap_findings,
+    input_gaps,
+    long_steps,
+    output_gaps,
+)
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.sensitivity.analysis import check_bounds
 from cluster_est.shooting.carried_states import check_begin, with_carried_states
@@ -114,6 +120,52 @@ def test_a_course_of_straight_lines_with_few_points_has_no_gaps():
     points = np.cumsum(np.r_[np.tile([0.01, 0.2], 8), 3.0, np.tile([0.01, 0.2], 3)])
     course = Input("F", points, np.random.default_rng(0).normal(size=len(points)))
     assert input_gaps(replace(run, inputs=(course,)), never) == []
+
+
+def forward(force, amount=1.0, at=150):
+    """A record whose clock was set forward; no rows are missing."""
+    run = record(force, missing=np.zeros(300, bool))
+    times = np.where(np.arange(300) < at, TIMES, TIMES + amount)
+    (given,), (seen,) = run.inputs, run.outputs
+    return replace(
+        run,
+        stop=float(times[-1]),
+        inputs=(replace(given, times=times),),
+        outputs=(replace(seen, times=times),),
+    )
+
+
+@pytest.mark.parametrize("force", [3.0 * np.sin(2.0 * TIMES), np.zeros(300)])
+def test_a_clock_that_was_set_forward_is_named_with_the_key(force):
+    ((_, do, _),) = gap_findings(split_at_gaps(problem(forward(force))).gaps)
+    assert "the clock was set forward (the other rows are 0.02 s apart" in do
+    assert "give sample_time = 0.02, the seconds between rows, instead of time" in do
+
+
+def test_a_record_without_inputs_may_also_have_a_clock_that_was_set_forward():
+    (seen,) = forward(np.zeros(300)).outputs
+    (gap,) = output_gaps("run", [seen], seen.times, None, None)
+    assert gap.row_step == pytest.approx(STEP)
+    (gap,) = output_gaps("run", [seen], np.r_[seen.times[:150], 3.5, seen.times[150:]], None, None)
+    assert gap.row_step == 0.0
+
+
+@pytest.mark.parametrize("drawn", range(5))
+def test_missing_rows_are_not_called_a_clock(drawn):
+    force = np.repeat(np.random.default_rng(drawn).normal(size=30), 10)
+    for run in (record(moving()), record(force)):
+        (_, do, _), *_ = gap_findings(split_at_gaps(problem(run)).gaps)
+        assert "clock" not in do
+
+
+def test_uneven_rows_are_not_advised_to_get_a_sample_time():
+    times = np.sort(np.random.default_rng(0).uniform(0.0, 6.0, 300))
+    run = forward(np.zeros(300))
+    times = np.where(np.arange(300) < 150, times, times + 3.0)
+    uneven = [replace(each, times=times) for each in (*run.inputs, *run.outputs)]
+    run = replace(run, start=times[0], stop=times[-1], inputs=(uneven[0],), outputs=(uneven[1],))
+    (gap,) = input_gaps(run, never)
+    assert gap.row_step == 0.0
 
 
 def test_a_record_without_gaps_is_the_same_object():
