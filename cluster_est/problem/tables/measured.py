@@ -434,6 +434,8 @@ class TableSource:
         (column, unit) for units that the file gives with the names.
     gaps
         Gaps in the outputs.
+    switches
+        Columns of inputs with words such as "on", or with truth values, that are used unchanged.
     """
 
     experiment: str
@@ -450,6 +452,7 @@ class TableSource:
     notes: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
     gaps: tuple[RecordGap, ...] = ()
+    switches: tuple[str, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, and return its unused columns.
