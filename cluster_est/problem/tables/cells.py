@@ -132,11 +132,11 @@ def _switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 def is_switch(column: Any) -> bool:
     """Return whether a column begins with a word such as "on", or contains truth values."""
     if isinstance(column, np.ndarray):
-        return column.dtype.kind == "b"
+        return bool(column.dtype.kind == "b")
     if not is_text(column):
         return bool(pa.types.is_boolean(column.type))
     there = trimmed_cells(column.slice(0, 1000)).drop_null()
-    return len(there) > 0 and there[0].as_py().lower() in SWITCHES
+    return len(there) > 0 and str(there[0]).lower() in SWITCHES
 
 
 def _plain(cells: pa.ChunkedArray, given: str, of_file: str) -> pa.ChunkedArray:
