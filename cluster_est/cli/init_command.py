@@ -54,6 +54,12 @@ def init(options: Namespace, answer: Answer) -> int:
             f"{out}{_place(text, f'{key} = ')}: {column!r} was chosen for {key}, because it is the "
             "only column whose unit matches the variable's; if that is wrong, name another column"
         )
+    for variable, column in dict.fromkeys(each for run in found.runs for each in run.switches):
+        answer.say(
+            f"{out}{_place(text, dotted('columns', column))}: {column!r} is on or off, which is "
+            f"read as 1 and 0 {variable.unit}; uncomment the line, and give the value of "
+            f"{variable.name} when it is on"
+        )
     for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')

@@ -20,6 +20,7 @@ from cluster_est.config.experiment_keys import ExperimentSection
 from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
+from cluster_est.problem.tables.cells import is_switch
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.gaps import RecordGap, output_gaps
 from cluster_est.problem.tables.grades import with_grades
@@ -118,8 +119,23 @@ def _source(
         _units(table, used), _output_gaps(changed, section),
         tuple((f"inputs.{n}.time", each.time) for n, each in section.inputs.items() if each.time),
         tuple((name, changed.unit(each.column)) for name, each in section.signals.items()),
+        _switches(table, section),
     )  # fmt: skip
     return [source]
+
+
+def _switches(table: MeasuredTable, section: ExperimentSection) -> tuple[str, ...]:
+    """Return the columns of inputs with words or truth values, without a factor."""
+    columns = {each.column: table.resolved(each.column) for each in section.inputs.values()}
+    return tuple(
+        column
+        for column, own in columns.items()
+        if is_switch(table.columns[own])
+        and (
+            column not in section.columns
+            or "factor" not in section.columns[column].model_fields_set
+        )
+    )
 
 
 def _begin(columns: MeasuredColumns, times: FloatArray, section: ExperimentSection) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from cluster_est.config.sections import Config
 from cluster_est.preflight.subject import CheckFinding, fault, listed, note, passed
+from cluster_est.preflight.table_columns import has_unit
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
@@ -45,6 +46,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
     return [
         *_readings(problem),
         *_inputs_without_data(problem, description),
+        *_switches(problem, description),
         *_stand_ins(problem),
         *_gaps_of_records(problem),
         *_bridged(problem, description),
@@ -122,6 +124,19 @@ def _sparse(problem: Problem, description: ModelDescription) -> list[CheckFindin
 def _stand_ins(problem: Problem) -> list[CheckFinding]:
     """Return a finding for each number in the data that is probably not a measurement."""
     return [fault("missing", said, do) for said, do in problem.data_findings]
+
+
+def _switches(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    """Return a finding for each input with a unit whose column contains words such as "on"."""
+    lines = {}
+    for table in problem.tables:
+        for key, column in table.named:
+            variable = description.variables.get(key.removeprefix("inputs."))
+            if column in table.switches and variable is not None and has_unit(variable):
+                said = f"{column!r} is on or off, which is read as 1 and 0 {variable.unit}"
+                do = f"give {dotted('columns', column)}.factor, the value when it is on"
+                lines[variable.name] = note(f"input {variable.name}", said, do)
+    return [*lines.values()]
 
 
 def _outlying(problem: Problem) -> list[CheckFinding]:

@@ -11,7 +11,14 @@ from pathlib import Path
 from cluster_est.errors import DataError, ModelError
 from cluster_est.preflight.draft_sources import DraftSource, KnownParameter, sources
 from cluster_est.preflight.table_column import TableColumn
-from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
+from cluster_est.preflight.table_columns import (
+    ColumnMatch,
+    TableColumns,
+    has_unit,
+    match,
+    read_columns,
+    same,
+)
 from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS, Reading
 from cluster_est.problem.tables.units import conversion, split_unit
 from workers.fmu.description import ModelDescription, describe, nearest
@@ -110,6 +117,12 @@ class DraftExperiment:
     def stand_ins(self) -> tuple[float, ...]:
         """Numbers in these columns that probably mark missing measurements, each once."""
         return tuple(sorted({value for column in self.used for value in column.stand_ins}))
+
+    @property
+    def switches(self) -> tuple[tuple[ModelVariable, str], ...]:
+        """Inputs with a unit whose column is on or off, and the names of these columns."""
+        pairs = [(m.variable, m.column or m.similar) for m in self.inputs]
+        return tuple((v, c.name) for v, c in pairs if c is not None and c.is_switch and has_unit(v))
 
     @property
     def missing_inputs(self) -> tuple[str, ...]:

@@ -418,9 +418,12 @@ def _conversions(run: DraftExperiment) -> Iterator[str]:
     for clock in dict.fromkeys(c.clock for c in run.used if c.clock is not None):
         if clock.unit and time is not None and clock.name != time.name:
             yield from _conversion(clock, "s", "times are in seconds")
+    for variable, name in run.switches:
+        why = f"on and off are read as 1 and 0 {variable.unit}: give the value when it is on"
+        yield f"# {dotted('columns', name)} = {inline({'factor': 1.0})}  # {why}"
     inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
     for variable, column in (*inputs, *_compared(run)):
-        if column is not None and column.unit and variable.unit:
+        if column is not None and column.unit and variable.unit and not column.is_switch:
             yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
 
 

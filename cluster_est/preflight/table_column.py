@@ -5,7 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from cluster_est.problem.tables.units import UNIT_SUFFIXES, conversion, is_known
+from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.records import OutputRecord, StackedRecords
+from workers.messages import FloatArray
 
 MOST_PARTS = 3
 """Largest number of parts of a name that may be a unit, such as "rad_per_s"."""
@@ -37,6 +42,8 @@ class TableColumn:
         Whether it seems to be recorded only when it changes.
     stand_ins
         Numbers in it that probably mark missing measurements.
+    is_switch
+        Whether it contains words such as "on", or truth values, which are read as 1 and 0.
     clock
         The column with its own times, if the file does not say so itself; None for those of the
         rows.
@@ -51,6 +58,7 @@ class TableColumn:
     few: bool = False
     at_changes: bool = False
     stand_ins: tuple[float, ...] = ()
+    is_switch: bool = False
     clock: TableColumn | None = None
 
     @property
@@ -106,3 +114,30 @@ def with_suffix(column: TableColumn, wanted: str) -> TableColumn:
     """Return a column with the unit at the end of its name, if it has no other unit."""
     found = None if column.unit else split_suffix(column.name, wanted)
     return column if found is None else replace(column, plain=found[0], unit=found[1])
+
+
+LEAST_GUESSED_NOISE = 1e-3
+"""Smallest guess of the noise, as a share of a signal's standard deviation."""
+LEAST_SAMPLES_FOR_NOISE = 10
+"""Smallest number of samples from which noise is estimated."""
+LEAST_EQUAL_VALUES = 5
+"""Smallest number of successive equal values that say nothing about the noise."""
+
+
+def guessed_noise(values: FloatArray) -> float:
+    """Estimate the standard deviation of a signal's noise from its differences.
+
+    Stretches of equal values, as of a saturated sensor, are left out. The result is at least a
+    fraction of the signal's standard deviation, because no sensor is more accurate.
+    """
+    finite = values[np.isfinite(values)]
+    ends = np.flatnonzero(np.diff(finite, prepend=np.nan, append=np.nan) != 0.0)
+    lengths = np.diff(ends)
+    moving = finite[np.repeat(lengths < LEAST_EQUAL_VALUES, lengths)]
+    if len(moving) >= LEAST_SAMPLES_FOR_NOISE:
+        finite = moving
+    if len(finite) < LEAST_SAMPLES_FOR_NOISE:
+        return 0.0
+    whole = OutputRecord(0, 0, slice(0, len(finite)), np.arange(float(len(finite))))
+    spread = float(estimate_noise(finite, StackedRecords(("",), (whole,)), finite)[0])
+    return max(spread, LEAST_GUESSED_NOISE * float(np.std(finite)))

@@ -16,6 +16,7 @@ from cluster_est.errors import DataError
 from cluster_est.preflight.table_column import (
     TableColumn,
     fold,
+    guessed_noise,
     split_suffix,
     with_suffix,
 )
@@ -28,7 +29,7 @@ from cluster_est.preflight.table_times import (
     may_hold_numbers,
     own_clocks,
 )
-from cluster_est.problem.tables.cells import is_text, trimmed_cells
+from cluster_est.problem.tables.cells import is_switch, is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.gaps import long_steps
 from cluster_est.problem.tables.jumps import count_jumps, recorded_at_changes
@@ -42,18 +43,9 @@ from cluster_est.problem.tables.measured_table import (
 from cluster_est.problem.tables.sparse_inputs import is_sparse
 from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.tables.units import conversion, is_known, split_unit
-from cluster_est.statistics.noise.estimate import estimate_noise
-from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 from workers.messages.signals import check_times
-
-LEAST_GUESSED_NOISE = 1e-3
-"""Smallest guess of the noise, as a share of a signal's standard deviation."""
-LEAST_SAMPLES_FOR_NOISE = 10
-"""Smallest number of samples from which noise is estimated."""
-LEAST_EQUAL_VALUES = 5
-"""Smallest number of successive equal values that say nothing about the noise."""
 
 
 @dataclass(frozen=True)
@@ -247,11 +239,12 @@ def _columns(
             name,
             plain,
             unit or table.units.get(name, ""),
-            _noise(values),
+            guessed_noise(values),
             count_jumps(*known) if time is None or rows < 0 else 0,
             increases=_increases(values),
             at_changes=time is not None and rows < 0 and recorded_at_changes(*known),
             stand_ins=codes,
+            is_switch=is_switch(table.columns[name]),
         )
         found.append((rows, column))
         counts.append(int(there.sum()))
@@ -286,25 +279,6 @@ def _not_numbers(column: Column) -> str:
 def _why_none(others: Mapping[str, str]) -> str:
     """Return what is wrong with the first column that cannot be used."""
     return next((f" ({name!r} {why})" for name, why in others.items()), "")
-
-
-def _noise(values: FloatArray) -> float:
-    """Estimate the standard deviation of a signal's noise from its differences.
-
-    Stretches of equal values, as of a saturated sensor, are left out. The result is at least a
-    fraction of the signal's standard deviation, because no sensor is more accurate.
-    """
-    finite = values[np.isfinite(values)]
-    ends = np.flatnonzero(np.diff(finite, prepend=np.nan, append=np.nan) != 0.0)
-    lengths = np.diff(ends)
-    moving = finite[np.repeat(lengths < LEAST_EQUAL_VALUES, lengths)]
-    if len(moving) >= LEAST_SAMPLES_FOR_NOISE:
-        finite = moving
-    if len(finite) < LEAST_SAMPLES_FOR_NOISE:
-        return 0.0
-    whole = OutputRecord(0, 0, slice(0, len(finite)), np.arange(float(len(finite))))
-    spread = float(estimate_noise(finite, StackedRecords(("",), (whole,)), finite)[0])
-    return max(spread, LEAST_GUESSED_NOISE * float(np.std(finite)))
 
 
 def _increases(values: FloatArray) -> bool:
@@ -394,6 +368,11 @@ def _decided(
     if len(rivals) == len(others) == 1 and rivals[0] is variable and others[0] is column:
         return ColumnMatch(variable, column, by_unit=True)
     return match
+
+
+def has_unit(variable: ModelVariable) -> bool:
+    """Return whether a variable has a unit that indicates a quantity."""
+    return variable.unit not in WITHOUT_UNIT
 
 
 def forbidden(column: TableColumn, variable: ModelVariable) -> bool:

@@ -150,6 +150,15 @@ case(
     text("{t};{c};{y}", "time;F;y\n", number=comma, c=["TRUE" if f else "FALSE" for f in PUSHED]),
     f=PUSHED,
 )
+for on, off in (("Ein", "Aus"), ("an", "AUS"), ("wahr", "falsch"), ("Enabled", "disabled")):
+    words = [on if f else off for f in PUSHED]
+    case(f"{on} and {off}", text("{t},{c},{y}", c=words), f=PUSHED)
+words = ["open" if f and i > 12 else "ON" for i, f in enumerate(PUSHED)]
+case(
+    "open and ON",
+    text("{t},{c},{y}", c=words),
+    said="must be a number, but is 'open'; .*on and off, true and false, ein and aus are read",
+)
 case("hexadecimal numbers", text("{t},0x{i:02X},{y}"), said="column 'F' holds '0x01'")
 case("per cent", text("{t},{f},{y}%"), said="column 'y' holds '0.09%'")
 case("the name in each cell", text("t={t}, F={f}, y={y}", "", ".txt"), said="holds 't=0.02'")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +25,11 @@ MISSING = [
     "I/O Timeout",
 ]  # fmt: skip
 """Cells that mark missing measurements."""
+SWITCHES: Final = {
+    "true": "1", "false": "0", "on": "1", "off": "0", "ein": "1", "aus": "0", "an": "1",
+    "wahr": "1", "falsch": "0", "enabled": "1", "disabled": "0",
+}  # fmt: skip
+"""Words for 1 and 0, in lower case."""
 _SIGN, _END = r"^[+-]?", r"([eE][+-]?\d+)?$"
 _GROUPED: Final = {",": rf"{_SIGN}\d{{1,3}}(,\d{{3}})+", ".": rf"{_SIGN}\d{{1,3}}(\.\d{{3}})+"}
 _OTHER: Final = {",": ".", ".": ","}
@@ -74,7 +79,7 @@ def trimmed_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def text_numbers(column: pa.ChunkedArray, given: str, of_file: str) -> FloatArray:
-    """Convert texts to numbers; true and false, on and off, in any case, become 1 and 0.
+    """Convert texts to numbers; `SWITCHES`, in any case, become 1 and 0.
 
     Parameters
     ----------
@@ -117,11 +122,21 @@ def first_text(column: pa.ChunkedArray, given: str, of_file: str) -> int:
 
 
 def _switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Replace true and false, on and off, in any case, by 1 and 0."""
+    """Replace `SWITCHES`, in any case, by 1 and 0."""
     lowered = pc.utf8_lower(cells)
-    for word, number in (("true", "1"), ("false", "0"), ("on", "1"), ("off", "0")):
+    for word, number in SWITCHES.items():
         cells = pc.if_else(pc.equal(lowered, word), number, cells)
     return cells
+
+
+def is_switch(column: Any) -> bool:
+    """Return whether a column begins with a word such as "on", or contains truth values."""
+    if isinstance(column, np.ndarray):
+        return bool(column.dtype.kind == "b")
+    if not is_text(column):
+        return bool(pa.types.is_boolean(column.type))
+    there = trimmed_cells(column.slice(0, 1000)).drop_null()
+    return len(there) > 0 and str(there[0]).lower() in SWITCHES
 
 
 def _plain(cells: pa.ChunkedArray, given: str, of_file: str) -> pa.ChunkedArray:
@@ -172,7 +187,7 @@ def _surely(sign: str) -> str:
 _SURELY: Final = {sign: re.compile(_surely(sign)) for sign in (",", ".")}
 _SEPARATORS: Final = re.compile("[ \u00a0\u202f\u2019']")
 _NUMBER: Final = re.compile(
-    r"[+-]?(\d+([.,]\d*)*|[.,]\d+)([edED][+-]?\d+)?|[+-]?inf|true|false|on|off", re.I
+    r"[+-]?(\d+([.,]\d*)*|[.,]\d+)([edED][+-]?\d+)?|[+-]?inf|" + "|".join(SWITCHES), re.I
 )
 
 

@@ -446,6 +446,8 @@ class TableSource:
         (config key, column) of each input with its own times, such as ("inputs.u.time", "t_u").
     signal_units
         (signal, unit), from `MeasuredColumns.unit`.
+    switches
+        Columns of inputs with words such as "on", or with truth values, that are used unchanged.
     """
 
     experiment: str
@@ -464,6 +466,7 @@ class TableSource:
     gaps: tuple[RecordGap, ...] = ()
     clocks: tuple[tuple[str, str], ...] = ()
     signal_units: tuple[tuple[str, str], ...] = ()
+    switches: tuple[str, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, and return its unused columns.

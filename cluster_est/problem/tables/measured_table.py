@@ -273,7 +273,8 @@ class MeasuredTable:
         raise DataError(
             f"{where}: {self.path}, column {name!r}, row {self.line(index)}: must be a number, but "
             f"is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave the cell "
-            "empty if nothing was measured"
+            "empty if nothing was measured (on and off, true and false, ein and aus are read as 1 "
+            "and 0, but other words are not)"
         )
 
 

@@ -416,6 +416,25 @@ def test_repeated_times_are_named(written, tmp_path, times, said):
     assert main(CHECK) == (2 if said else 0)
 
 
+def test_an_input_that_is_on_or_off_needs_its_value(written, tmp_path, capsys):
+    """An input in newtons from a column of words."""
+    words = np.where(STEP > 0.0, "Ein", "AUS")
+    data = table(tmp_path / "a.csv", {"time": TIMES, "F": words, "y": FORCE})
+    text, _, said = written(data)
+    line = "# columns.F = { factor = 1.0 }"
+    number = next(i for i, each in enumerate(text.split("\n"), 1) if each.startswith(line))
+    assert f"line {number}: 'F' is on or off, which is read as 1 and 0 N; uncomment" in said
+    assert main(CHECK) == 0
+    found = " ".join(capsys.readouterr().out.split())
+    assert "note input F 'F' is on or off, which is read as 1 and 0 N -> give columns." in found
+    given = text.replace(line, line.removeprefix("# ").replace("1.0", "50.0"))
+    Path("first.toml").write_text(given, encoding="utf-8")
+    assert main(CHECK) == 0
+    assert "on or off" not in capsys.readouterr().out
+    (run,) = ce.read_problem("first.toml").experiments
+    np.testing.assert_array_equal(run.inputs[0].values, 50.0 * STEP)
+
+
 CODED = np.where(np.arange(50) % 9 == 4, -9999.0, FORCE)
 
 
