@@ -95,7 +95,7 @@ def print_variables(answer: Answer, description: ModelDescription) -> None:
         "state": list(description.states),
         "parameter": [e.name for e in own if e.causality == "parameter" and e.settable],
     }
-    found = [
+    found: list[dict[str, Any]] = [
         {"name": name, "is": kind, "unit": each.unit, "start": each.start, "text": each.description}
         for kind, named in names.items()
         for name in named
