@@ -25,6 +25,7 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
 from cluster_est.studies.configured import read_study
+from workers.fmu.description import ModelDescription
 
 
 def print_page(answer: Answer, page: CheckPage) -> None:
@@ -78,6 +79,41 @@ def print_model(answer: Answer, problem: Problem, more: str) -> None:
     )
     for warning in (*problem.describe().warnings, *problem.model_notes()):
         answer.say(warning)
+
+
+MOST_LISTED = 40
+"""Largest number of variables of a kind in the printed table; further ones are counted."""
+
+
+def print_variables(answer: Answer, description: ModelDescription) -> None:
+    """Print the inputs, outputs, states and parameters of an FMU with their units."""
+    every = description.variables.values()
+    own = [each for each in every if each.alias_of is None and not each.is_tool_setting]
+    names = {
+        "input": [each.name for each in own if each.causality == "input"],
+        "output": list(description.outputs),
+        "state": list(description.states),
+        "parameter": [e.name for e in own if e.causality == "parameter" and e.settable],
+    }
+    found: list[dict[str, Any]] = [
+        {"name": name, "is": kind, "unit": each.unit, "start": each.start, "text": each.description}
+        for kind, named in names.items()
+        for name in named
+        for each in (description.variables[name],)
+    ]
+    answer.add(variables=found)
+    shown = [row for kind in names for row in [r for r in found if r["is"] == kind][:MOST_LISTED]]
+    cells = [
+        (row["name"], row["is"], row["unit"], _start(row["start"]), row["text"]) for row in shown
+    ]
+    answer.table(["variable", "is", "unit", "start", "description"], cells, fitted=True)
+    for kind, named in names.items():
+        if len(named) > MOST_LISTED:
+            answer.say(f"and {len(named) - MOST_LISTED} more {kind}s; --json lists all of them")
+
+
+def _start(start: float | None) -> str:
+    return "" if start is None else f"{start:g}"
 
 
 def print_check(answer: Answer, problem: Problem, simulations: Sequence[Simulation]) -> None:
@@ -135,6 +171,7 @@ def check(options: Namespace, answer: Answer) -> int:
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
         print_model(answer, bare, "with its own start values")
+        print_variables(answer, bare.describe())
         build_core(answer)
         page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(answer, page)

@@ -125,6 +125,12 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     ),
     "check": (
         DocumentField("model", "object", "the model: `name`, `interface` and `solver`"),
+        DocumentField(
+            "variables",
+            "list",
+            "inputs, outputs, states and parameters of an FMU without a config: `name`, `is`, "
+            "`unit`, `start`, and the description `text`",
+        ),
         DocumentField("checks", "list", "each check: `verdict`, `check`, `found` and `do`"),
         DocumentField("problems", "whole number", "number of checks with the verdict `problem`"),
         DocumentField("check_notes", "whole number", "number of checks with the verdict `note`"),

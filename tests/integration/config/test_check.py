@@ -1,5 +1,6 @@
 """`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem."""
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -14,7 +15,7 @@ from support.spoiled import spoiled_fmu, write_input
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.answer import PrintedAnswer
-from cluster_est.cli.check_command import print_page
+from cluster_est.cli.check_command import print_page, print_variables
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import costs, run_checks
 from cluster_est.preflight.data_checks import data_findings
@@ -29,6 +30,7 @@ from cluster_est.preflight.subject import (
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running import reset_policy
 from cluster_est.running.resources import Resources
+from workers.fmu.variable import ModelVariable
 from workers.messages import Effect, Solver
 from workers.probes.probes import (
     CostProbe,
@@ -224,6 +226,34 @@ def test_the_bounds_are_tried(own_fmu):
 def test_a_file_alone(own_fmu, name, code, phrase, capsys):
     assert main(["check", str(own_fmu(name, 2)), "--seconds", "60"]) == code
     assert phrase in capsys.readouterr().out
+
+
+def test_the_variables_of_an_fmu_are_listed_with_their_units(capsys):
+    fmu = str(ROOT / "configs" / "models" / "quarter_car.fmu")
+    assert main(["check", fmu, "--seconds", "0"]) == 0
+    out = capsys.readouterr().out
+    for row in (
+        r"road +input +m +0 +height of the road",
+        r"velocity +output +m/s +measured vertical",
+        r"v_wheel +state +m/s +0 +vertical velocity of the wheel",
+        r"c_damper +parameter +N\.s/m +1500 +damping of the suspension",
+    ):
+        assert re.search(f"^{row}", out, re.M)
+    assert main(["check", fmu, "--seconds", "0", "--json"]) == 0
+    variables = json.loads(capsys.readouterr().out)["variables"]
+    assert len(variables) == 12
+    assert {"name": "k_tyre", "is": "parameter", "unit": "N/m", "start": 160000.0,
+            "text": "stiffness of the tyre"} in variables  # fmt: skip
+
+
+def test_many_variables_of_an_fmu_are_counted(capsys):
+    own = [ModelVariable(f"p{i}", i, "real", "parameter", settable=True) for i in range(50)]
+    variables = {each.name: each for each in own}
+    print_variables(PrintedAnswer(), SimpleNamespace(variables=variables, outputs=(), states=()))
+    out = capsys.readouterr().out
+    assert "p39 " in out
+    assert "p40 " not in out
+    assert "and 10 more parameters; --json lists all of them" in out
 
 
 def test_a_config_whose_parameter_is_dead(own_fmu, tmp_path, capsys):
