@@ -34,7 +34,7 @@ from cluster_est.running.resources import one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted
-from workers.effects.forms import FORMS
+from workers.effects.forms import FORMS, other_forms
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Output
@@ -214,11 +214,11 @@ def _check_shape(problem: Problem) -> None:
 
 def _check_choices(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
     """Refuse unknown forms, and sites at which no effect can act."""
-    known = sorted({name for _, name in FORMS})
+    known = {name for _, name in FORMS}
     for name in settings.forms:
         if name not in known:
             raise ProblemError(
-                f"closed_loop.effects: there is no form {name!r}{nearest(name, known)}"
+                f"closed_loop.effects: there is no form {name!r}{other_forms(name, FORMS.values())}"
             )
     offered = _sites(problem, description)
     outputs = [site for site in settings.sites if site.startswith("output ")]

@@ -39,6 +39,7 @@ __all__ = [
     "OwnState",
     "SiteKind",
     "form",
+    "other_forms",
     "positive",
 ]
 
@@ -630,8 +631,17 @@ def form(kind: SiteKind, name: str, where: str) -> EffectForm:
     if (kind, name) in PROCESS_NOISE:
         return PROCESS_NOISE[kind, name]
     if (kind, name) not in FORMS:
-        known = [n for k, n in (*FORMS, *PROCESS_NOISE) if k == kind]
+        known = [f for (k, _), f in (FORMS | PROCESS_NOISE).items() if k == kind]
         raise EffectError(
-            f"{where}: there is no form {name!r} for a site of kind {kind}{nearest(name, known)}"
+            f"{where}: there is no form {name!r} for a site of kind {kind}"
+            f"{other_forms(name, known)}"
         )
     return FORMS[kind, name]
+
+
+def other_forms(name: str, known: Iterable[EffectForm]) -> str:
+    """Return the end of a message: the forms of the family with this name, or the nearest form."""
+    family = dict.fromkeys(f.name for f in known if f.family == name.lower())
+    if family:
+        return f"; the forms of the family {name!r} are {', '.join(family)}"
+    return nearest(name, dict.fromkeys(f.name for f in known))

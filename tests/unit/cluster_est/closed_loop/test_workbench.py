@@ -166,6 +166,10 @@ SPRING = missing_effect_problem("mass_spring_damper")
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
+        (
+            {"forms": ("friction",)},
+            r"there is no form 'friction'; the forms of the family 'friction' are viscous, coulomb",
+        ),
         ({"forms": ("coulom",)}, r"closed_loop\.effects: there is no form 'coulom'.*coulomb"),
         ({"sites": ("der(w)",)}, r"does not offer the site 'der\(w\)'; did you mean 'der\("),
         ({"sites": ("input y",)}, r"closed_loop\.sites: mass_spring_damper\.fmu does not offer"),

@@ -28,7 +28,7 @@ RELATED = replace(FINE, lag1=0.8, widening=3.0, structure=ResidualStructure.AUTO
 @pytest.fixture(scope="module")
 def result():
     """Of which nothing is to be said."""
-    found = ce.fit(spring_problem(experiments=2, samples=80, noise=0.002).problem)
+    found = ce.fit(spring_problem(experiments=3, samples=80, noise=0.002).problem)
     assert found.notes == ()
     return found
 
