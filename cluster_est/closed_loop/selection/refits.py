@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
-from typing_extensions import override
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
@@ -36,8 +35,6 @@ from cluster_est.closed_loop.selection.linear_model import (
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
-from cluster_est.methods.method import Method, Search
-from cluster_est.problem.search_space import SearchSpace
 from cluster_est.statistics.records import StackedRecords
 
 BRIEFLY = 1e-4
@@ -47,10 +44,8 @@ candidate is ahead."""
 SETTLED_REFIT = 0.1
 """Fall of the criterion at which a full refit ends, relative to `REFINEMENT.equal`."""
 
-ITERATIONS = LeastSquares(
-    trials=1, ftol=BRIEFLY, xtol=1e-5, differences="forward", secant_updates=1
-)
-"""The iterations of a refit; every second Jacobian is a Broyden update of the one before."""
+FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+SHORT = replace(FIRST, max_iterations=2)
 
 WHITE_LEADERS = 8
 """Number of leaders by whitened scores that are tried in addition to those by plain scores."""
@@ -63,30 +58,6 @@ ALIKE = 0.98
 Benchmark."""
 
 
-@final
-@dataclass(frozen=True)
-class BriefRefit(Method):
-    """A few iterations with a single Jacobian, which show which candidates are ahead.
-
-    The Jacobian is computed at the start. After each step, Broyden's update corrects it.
-    """
-
-    name: ClassVar[str] = "brief refit"
-    needs_residuals: ClassVar[bool] = True
-    keeps_constraints: ClassVar[bool] = True
-
-    iterations: int
-
-    @override
-    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        steps = self.iterations
-        method = replace(ITERATIONS, max_iterations=steps, secant_updates=steps)
-        return method.search_briefly(space, generator)
-
-
-FIRST, SHORT = BriefRefit(1), BriefRefit(2)
-
-
 def full_refit(fitter: Fitter) -> LeastSquares:
     """Return the least-squares method of a refit to convergence.
 
@@ -95,7 +66,7 @@ def full_refit(fitter: Fitter) -> LeastSquares:
     candidates apart. An output with a small part of the squares may change the criterion by more.
     """
     settled = SETTLED_REFIT * REFINEMENT.equal / max(fitter.size, 1)
-    return replace(ITERATIONS, max_iterations=15, ftol=min(BRIEFLY, settled))
+    return replace(FIRST, max_iterations=15, ftol=min(BRIEFLY, settled))
 
 
 def refit_fully(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:

@@ -205,15 +205,6 @@ class LeastSquares(Method):
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
     secant_updates: int = field(default=0, metadata={"least": 0})
 
-    def search_briefly(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        """Start a search that computes no derivatives at the point where its iterations run out.
-
-        The derivatives of its result are then those of the point before, corrected by the last step
-        if `secant_updates` allows it.
-        """
-        constrained = bool(space.constraint_names)
-        return self.search(space, generator) if constrained else self._free(space, brief=True)
-
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         if not space.constraint_names:
@@ -228,7 +219,7 @@ class LeastSquares(Method):
         )
         return constrained.search(space, generator)
 
-    def _free(self, space: SearchSpace, *, brief: bool = False) -> Search:
+    def _free(self, space: SearchSpace) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:
@@ -274,8 +265,7 @@ class LeastSquares(Method):
                     updates += 1
                     continue
                 unknown = ending in DOUBTED and jacobian.frozen.any() and state.x is not last.x
-                enough = brief and ending is Ending.MAX_ITERATIONS
-                if (secant is not None and not enough) or unknown:
+                if secant is not None or unknown:
                     # an end must be one by the derivatives of its own point
                     most = 0 if secant is not None else most
                     secant, compared, before_step = None, None, None

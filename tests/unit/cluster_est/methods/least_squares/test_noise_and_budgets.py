@@ -2,18 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems.functions import (
-    ROSENBROCK,
-    FunctionExecutor,
-    FunctionProblem,
-    followed,
-    named,
-)
+from support.problems.functions import ROSENBROCK, FunctionExecutor, FunctionProblem, named
 from support.problems.springs import spring_problem
 
 import cluster_est as ce
 from cluster_est import Budget, LeastSquares
-from cluster_est.closed_loop.selection.refits import BriefRefit
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.differences import ResidualJacobian
 from cluster_est.methods.least_squares.iteration import IterationState
@@ -237,18 +230,6 @@ def test_an_unknown_that_hardly_moved_shows_nothing_of_the_experiments_that_only
     found = secant_update(jacobian, one, other)
     np.testing.assert_allclose(found.blocks.blocks[0], 1.1)
     np.testing.assert_array_equal(found.blocks.blocks[1], 2.0)
-
-
-def test_a_brief_refit_computes_one_jacobian_and_keeps_what_its_steps_have_shown():
-    def decay(x):
-        return x[0] * np.exp(-x[1] * PHASES) - 2.0 * np.exp(-3.0 * PHASES) + 0.1 * PHASES
-
-    found = followed(FunctionProblem("decay", decay, (1.8, 2.5), np.nan), BriefRefit(2))
-    assert found.purposes == ["start", "jacobian", "trial", "trial"]
-    assert found.solution.ending is Ending.MAX_ITERATIONS
-    before, after = found.points[-2:]
-    seen = decay(after) - decay(before)
-    np.testing.assert_allclose(found.solution.jacobian @ (after - before), seen, rtol=1e-9)
 
 
 def test_a_fit_ends_where_it_does_without_them():
