@@ -35,7 +35,6 @@ from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.results.output_errors import Simulation
-from cluster_est.run_folder.logged_simulation import with_found_effects
 from cluster_est.run_folder.run_files import (
     SWEEP_SUMMARY_FILE,
     Rows,
@@ -197,6 +196,8 @@ def simulate(options: Namespace, answer: Answer) -> int:
 
 def _with_effects_of_run(config: Config, run_folder: Path, answer: Answer) -> Config:
     """Add the effects that a closed loop found to the config, and say so."""
+    from cluster_est.run_folder.logged_simulation import with_found_effects  # slow to load
+
     if not (run_folder / "run.json").is_file():
         return config  # a message on the estimates follows
     whole = with_found_effects(config, read_facts(run_folder))

@@ -186,7 +186,7 @@ def _notes_on_times(found: FoundTime, table: MeasuredTable) -> Iterator[str]:
     if not table.signals:  # otherwise each signal has its own rows
         try:
             where = f"column {found.column.name!r}"
-            check_times(found.seconds, where, lambda i: f"row {table.row(i)}")
+            check_times(found.seconds, where, lambda i: f"row {table.row(i)}", of_rows=True)
         except DataError as error:
             yield f"{error}; check and fit refuse the table until then"
     gaps = long_steps(np.unique(found.seconds[np.isfinite(found.seconds)])).tolist()

@@ -403,7 +403,10 @@ def test_temperatures_are_not_the_times_of_other_columns(written, tmp_path):
 @pytest.mark.parametrize(
     ("times", "said"),
     [
-        (np.insert(TIMES[:-1], 7, TIMES[6]), "row 9: .*remove repeated ones; check and fit refuse"),
+        (
+            np.insert(TIMES[:-1], 7, TIMES[6]),
+            "row 9: .*remove the repeated rows; check and",
+        ),
         (np.floor(10.0 * TIMES), "row 3: .*give sample_time.*; check and fit refuse the table"),
         (TIMES, ""),
     ],
