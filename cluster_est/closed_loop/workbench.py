@@ -256,10 +256,13 @@ def _declares_sigma(problem: Problem) -> bool:
 
 def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
     def change(_: int, output: Output) -> Output:
-        sigma = output.sigma * noise.get(output.variable, np.nan)
-        if not (np.isfinite(sigma) and sigma > 0.0):
+        level = float(noise.get(output.variable, np.nan))
+        if not (np.isfinite(level) and level > 0.0):
             return output
-        return replace(output, sigma=float(sigma), sigma_known=True)
+        relative = level * output.relative_sigma
+        return replace(
+            output, sigma=level * output.sigma, relative_sigma=relative, sigma_known=True
+        )
 
     return with_outputs(problem, change)
 

@@ -58,8 +58,9 @@ def check_observed_outputs(problem: Problem) -> None:
                 )
             if output.detection_limit is not None and not output.has_sigma:
                 raise ProblemError(
-                    f"{where}: must have a sigma if it has a detection_limit, but has none; add "
-                    "sigma, because the probability of a value below the limit depends on the noise"
+                    f"{where}: must have a known sigma if it has a detection_limit, but has none; "
+                    "add sigma, without sigma_known = false, because the probability of a value "
+                    "below the limit depends on the noise"
                 )
             if output.ordinal and experiment.role == "train":
                 _check_categories(output, where)

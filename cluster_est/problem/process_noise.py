@@ -145,7 +145,7 @@ def check_process_noise(problem: Problem) -> None:
 def _check_experiment(experiment: Experiment, where: str) -> None:
     found = besides_plain_outputs(experiment)
     if not all(output.has_sigma for output in experiment.outputs):
-        found.append("an output without a sigma")
+        found.append("an output without a known sigma")
     for what in found:
         raise ProblemError(
             f"{where} is weighed against the noise of each measured value, but experiment "

@@ -251,6 +251,8 @@ def _settling(output: Output, errors: FloatArray) -> tuple[float, float]:
     sizes, count = np.abs(errors), len(errors)
     noise = _noise(output)
     floor = max(float(np.quantile(sizes[count // 2 :], 0.95)), 3.0 * noise)
+    if not sizes[0] > floor:
+        return 0.0, 0.0
     large = np.flatnonzero(sizes > floor)
     for i in (large + 1).tolist():
         if i > LONGEST_SETTLING * count:

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from cluster_est.errors import ClusterEstError
+from cluster_est.errors import BudgetError, ClusterEstError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
@@ -40,8 +40,8 @@ MOST_INPUTS = 4
 MOST_ENTRIES = 20_000_000
 """Largest number of entries of a Jacobian for this test."""
 REFIT = LeastSquares(trials=1, max_iterations=15, ftol=1e-4, xtol=1e-5, differences="forward")
-MOST_SECONDS = 300.0
-"""Largest time of the fits with another interpolation of an input."""
+MOST_EVALUATIONS = 1000
+"""Largest number of evaluations of the fits with another interpolation of an input."""
 LEAST_FALL_OF_REFIT = 0.5
 """Least relative decrease of the sum of squares by a refit; with other estimates, the other
 interpolation may compensate a part of another error."""
@@ -100,16 +100,21 @@ class AtFit:
     def refit(self, runs: tuple[Experiment, ...]) -> list[Outcome]:
         """Fit changed experiments, from the estimates and from the start values.
 
-        Returns their outcomes at the best point; none if they cannot be fitted or simulated.
+        Returns their outcomes at the best point; none if they cannot be fitted or simulated, or if
+        this takes too many evaluations.
         """
         problem = replace(self.problem, experiments=runs)
         every = tuple(range(len(runs)))
         spaces = [make_space(problem, every, starts=known) for known in (self.estimates, {})]
         if not all(space.size for space in spaces) or spaces[0].constraint_names:
             return []
-        solver, budget = problem.model.solver, Budget(seconds=MOST_SECONDS)
+        solver, budget = problem.model.solver, Budget(evaluations=MOST_EVALUATIONS)
         with runner_beside(problem, runs, solver, self.resources, self.runner, budget) as runner:
-            found = runner.run([SearchRequest("interpolation", REFIT, space) for space in spaces])
+            try:
+                requests = [SearchRequest("interpolation", REFIT, space) for space in spaces]
+                found = runner.run(requests)
+            except BudgetError:
+                return []
             fits = [
                 (each.cost, space.physical(each.x))
                 for each, space in zip(found, spaces, strict=True)

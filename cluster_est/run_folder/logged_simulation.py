@@ -15,7 +15,7 @@ import numpy as np
 from cluster_est.closed_loop.long_records import ways_to_thin
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_resources
-from cluster_est.config.reader import read_config
+from cluster_est.config.reader import config_folder, read_config
 from cluster_est.config.sections import Config, EffectSection
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.log_replay import simulation_key
@@ -240,7 +240,7 @@ def config_base(run_folder: Path, config: Path | None) -> Path:
     if config is not None:
         if not config.is_file():
             raise ConfigError(f"--config: there is no config file {config}; check the path")
-        return config.parent
+        return config_folder(config)
     known = read_facts(run_folder).get("config_folder")
     if not isinstance(known, str):
         raise RunFolderError(

@@ -167,7 +167,7 @@ def _with_noise(problem: Problem, facts: Mapping[str, Any]) -> Problem:
 
 def _weighted(experiment: Experiment, noise: Mapping[str, float]) -> Experiment:
     outputs: Sequence[Any] = [
-        replace(output, sigma=float(noise[output.variable]), sigma_known=True)
+        replace(output, sigma=float(noise[output.variable]), relative_sigma=0.0, sigma_known=True)
         if not output.has_sigma and (noise.get(output.variable) or 0.0) > 0.0
         else output
         for output in experiment.outputs

@@ -133,6 +133,8 @@ def recorded_at_changes(times: FloatArray, values: FloatArray) -> bool:
     """
     if len(values) < FEW_SAMPLES or regular(times) or not np.isfinite(values).all():
         return False
+    if not (np.diff(times) > 0.0).all():
+        return False
     if np.mean(_changes(values)) < DIFFERENT_SHARE:
         return False
     usual = float(np.median(np.abs(np.diff(values))))

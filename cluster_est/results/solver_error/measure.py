@@ -222,7 +222,8 @@ def runner_beside(
         Runner whose first worker frees its instance first, if the number of instances is limited;
         None if there are no workers yet.
     budget
-        Budget of the searches.
+        Budget of the searches. If it is used up, or if the user interrupts the run, the searches
+        end with an error, because their results so far mean nothing.
 
     Raises
     ------
@@ -236,7 +237,7 @@ def runner_beside(
     model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")
     with kind.open(model, runs, 1, None, resources.limits) as pool:
-        yield Runner(pool, budget)
+        yield Runner(pool, budget, whole=budget is not None)
 
 
 def _of_output(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import stdtrit
 from typing_extensions import override
 
 from cluster_est.methods.block_matrix import BlockMatrix
@@ -16,16 +17,17 @@ from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.accuracy import relative_sizes
-from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
+from cluster_est.uncertainty.covariance.covariance import assess, not_assessed, scaled_jacobian
 from cluster_est.uncertainty.covariance.local_uncertainty import Uncertainty
 from cluster_est.uncertainty.covariance.normal_equations import (
+    active_bounds,
     has_jacobian,
     jacobian_blocks,
     with_jacobian,
 )
 from cluster_est.uncertainty.covariance.system import ROUNDING_OF_DIRECTION, ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import with_start
-from workers.messages import FloatArray, IntArray
+from workers.messages import FloatArray
 
 LEAST_STEP, LARGEST_STEP = 1e-3, 3e-2
 SUSPECT = 1e-2
@@ -78,7 +80,8 @@ def assess_held_out(
     training experiments. With the derivatives A and B of the held-out residuals with respect to x
     and y, an error dx changes the fit by dy = -B^+ A dx. So B^+ A C A' B^+' is added to the
     covariance from the held-out noise, where C is the covariance of x. The half widths of both
-    intervals are added as squares, because their degrees of freedom differ.
+    intervals are added as squares, because their degrees of freedom differ. There is no interval
+    if the derivatives are not known, or if y depends on a shared unknown without an interval.
 
     Parameters
     ----------
@@ -88,23 +91,32 @@ def assess_held_out(
         The search space and the solution of the held-out and of the training experiments, and the
         uncertainty of the latter.
     """
-    space, solution = test
+    (space, solution), (fixed, x, trained) = test, train
     found = assess(space, solution)
-    shared, response = _response_to_shared(runner, test, train)
-    if not len(shared):
-        return found
-    fixed, x, trained = train
-    errors, halves = _in_search_coordinates(fixed, x.x, trained)
-    position = [trained.shared.index(fixed.unknowns[i].label) for i in shared]
-    correlations = trained.correlations[np.ix_(position, position)]
-    own_errors, own_halves = _in_search_coordinates(space, solution.x, found)
+    response = _response_to_shared(runner, test, train)
+    if response is None:
+        return not_assessed(space, solution, "the derivatives by the shared unknowns failed")
+    errors = _errors(fixed, x.x, trained)
+    own_errors = _errors(space, solution.x, found)
+    widths = [
+        float(stdtrit(each.basis_degrees, 0.975)) if each.basis_degrees > 0 else np.nan
+        for each in (found, trained)
+    ]
+    shared = {label: k for k, label in enumerate(trained.shared)}
+    acting = np.abs(response) > NO_RESPONSE * np.abs(response).max(initial=0.0)
     intervals = []
     for i, known in enumerate(found.intervals):
-        more = [
-            float(np.sqrt(max(part @ correlations @ part, 0.0)))
-            for part in (response[i] * errors[shared], response[i] * halves[shared])
-        ]
-        error, half = np.hypot(own_errors[i], more[0]), np.hypot(own_halves[i], more[1])
+        chosen = np.flatnonzero(acting[i]).tolist()
+        position = [shared.get(fixed.unknowns[j].label, -1) for j in chosen]
+        more = np.nan
+        if min(position, default=0) >= 0:
+            part = response[i, chosen] * errors[chosen]
+            correlations = trained.correlations[np.ix_(position, position)]
+            square = float(np.dot(part, correlations @ part))
+            more = float(np.sqrt(max(square, 0.0))) if np.isfinite(square) else np.nan
+        error = float(np.hypot(own_errors[i], more))
+        more_of_half = widths[1] * more if chosen else 0.0
+        half = float(np.hypot(widths[0] * own_errors[i], more_of_half))
         unknown, at = space.unknowns[i], float(solution.x[i])
         intervals.append(
             replace(
@@ -121,52 +133,51 @@ def assess_held_out(
     return replace(found, intervals=tuple(intervals))
 
 
+NO_RESPONSE = 1e-9
+"""Largest response that counts as rounding, relative to the largest response."""
+
+
 def _response_to_shared(
     runner: Runner,
     test: tuple[SearchSpace, Solution],
     train: tuple[SearchSpace, Solution, Uncertainty],
-) -> tuple[IntArray, FloatArray]:
-    """Return the shared unknowns of the training space, and -B^+ A (own, shared) in the test space.
+) -> FloatArray | None:
+    """Return the change of held-out unknowns with each unknown of the training space, -B^+ A.
 
-    Unknowns without a known error, such as those at a bound, are left out.
+    Unknowns at a bound are constant: there is no response of them or to them. The result is None
+    if the derivatives cannot be computed.
     """
-    (space, solution), (fixed, known, trained) = test, train
+    (space, solution), (fixed, known, _) = test, train
     values = fixed.estimates(known.x) | space.estimates(solution.x)
     joint = make_space(space.problem, space.experiments, starts=values)
-    labels = [unknown.label for unknown in joint.unknowns]
-    shared = [
-        i
-        for i, (unknown, interval) in enumerate(zip(fixed.unknowns, trained.intervals, strict=True))
-        if unknown.label in labels
-        and unknown.label in trained.shared
-        and np.isfinite(interval.std_error)
-    ]
-    chosen = np.array(shared, np.intp)
-    at_start = Solution(joint.start, 0.0, Ending.CONVERGED)
-    found = linearise(runner, joint, at_start) if shared else at_start
+    labels = {unknown.label: i for i, unknown in enumerate(joint.unknowns)}
+    bounds = [active_bounds(space, solution.x), active_bounds(fixed, known.x)]
+    own, shared = (
+        [i for i, unknown in enumerate(each.unknowns) if unknown.label in labels and not held[i]]
+        for each, held in zip((space, fixed), bounds, strict=True)
+    )
+    response = np.zeros((space.size, fixed.size))
+    if not own or not shared:
+        return response
+    found = linearise(runner, joint, Solution(joint.start, 0.0, Ending.CONVERGED))
     matrix = jacobian_blocks(joint, found) if has_jacobian(found) else None
-    if matrix is None:
-        return chosen[:0], np.zeros((space.size, 0))
+    if matrix is None or (found.frozen is not None and found.frozen.any()):
+        return None
     dense = matrix.dense()
-    own = dense[:, [labels.index(unknown.label) for unknown in space.unknowns]]
-    others = dense[:, [labels.index(fixed.unknowns[i].label) for i in shared]]
-    sizes = np.linalg.norm(own, axis=0)
+    b = dense[:, [labels[space.unknowns[i].label] for i in own]]
+    a = dense[:, [labels[fixed.unknowns[i].label] for i in shared]]
+    sizes = np.linalg.norm(b, axis=0)
     sizes[~(sizes > 0.0)] = 1.0
-    response = -np.linalg.lstsq(own / sizes, others, rcond=1e-8)[0] / sizes[:, None]
-    return chosen, response
+    changes = np.linalg.lstsq(b / sizes, a, rcond=1e-8)[0] / sizes[:, None]
+    response[np.ix_(own, shared)] = -changes
+    return response
 
 
-def _in_search_coordinates(
-    space: SearchSpace, x: FloatArray, found: Uncertainty
-) -> tuple[FloatArray, FloatArray]:
-    """Return the standard error and the half width of the interval of each unknown."""
-    errors, halves = np.full(space.size, np.nan), np.full(space.size, np.nan)
-    for i, (unknown, interval) in enumerate(zip(space.unknowns, found.intervals, strict=True)):
-        unit = unknown.to_physical(float(x[i])) if unknown.log else 1.0
-        errors[i] = interval.std_error / unit
-        if np.isfinite(interval.upper95):
-            halves[i] = unknown.to_search(interval.upper95) - float(x[i])
-    return errors, halves
+def _errors(space: SearchSpace, x: FloatArray, found: Uncertainty) -> FloatArray:
+    """Return the standard error of each unknown in search coordinates."""
+    units = [u.to_physical(float(x[i])) if u.log else 1.0 for i, u in enumerate(space.unknowns)]
+    errors = np.array([each.std_error for each in found.intervals])
+    return np.asarray(errors / np.array(units), np.float64)
 
 
 def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solution:

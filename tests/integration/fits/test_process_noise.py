@@ -243,7 +243,7 @@ TWICE = with_effect(ce.Effect("more", "der(v)", "diffusion"), "q")
         (
             with_outputs(spring([shaken(1)]), lambda o: replace(o, sigma=1.0)),
             None,
-            "experiment 'e1' has an output without a sigma",
+            "experiment 'e1' has an output without a known sigma",
         ),
         (
             with_effect(ce.Effect("late", "output y", "lag"), "tau"),
