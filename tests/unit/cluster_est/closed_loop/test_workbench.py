@@ -258,6 +258,19 @@ def test_outputs_without_sigma_are_weighted_with_their_noise(guess):
         assert any("sigma = { motor_speed = 0.0" in note for note in bench.scope.notes)
 
 
+def test_a_guess_that_grows_with_the_value_keeps_its_shape():
+    """The guess is ten times the noise everywhere, so it is divided by ten everywhere."""
+
+    def guessed(output):
+        return replace(output, relative_sigma=0.3, sigma_known=False)
+
+    problem = with_outputs(two_units(0.2), guessed)
+    with opened(problem) as bench:
+        for run in bench.fitter.problem.experiments:
+            for output in run.outputs:
+                assert output.relative_sigma / output.sigma == pytest.approx(0.3 / 0.2)
+
+
 def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
     """Nothing was measured of one of them."""
     none = {"motor_speed": {}, "load_speed": {"times": np.zeros(0), "values": np.zeros(0)}}

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from support.problems.springs import TRUE, spring_problem
 
 import cluster_est as ce
-from cluster_est.results.initial_errors import InitialError, initial_errors, start_advice
+from cluster_est.results.initial_errors import InitialError, _settling, initial_errors, start_advice
 from cluster_est.results.output_errors import Simulation
 from workers.messages import Outcome, Status, Trajectory
 
@@ -69,6 +69,16 @@ def test_a_sensor_that_settles_is_named_with_a_time_after_which_it_has(start, ta
     assert f"only {name} differs from the model" in error.sentence
     assert f"while {other} fits from the first sample" in error.sentence
     assert f"warm_up = {error.settling:g} in experiment_defaults" in start_advice(problem, error)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_error_that_is_no_larger_at_the_start_does_not_settle(seed):
+    """Nearly the largest of later errors: its decay would be extrapolated backwards."""
+    sigma = SIGMA["y"]
+    errors = sigma * np.random.default_rng(seed).standard_normal(400)
+    errors[0] = 1.75 * sigma
+    output = ce.Output("y", np.arange(400.0), np.zeros(400), sigma=sigma)
+    assert all(time >= 0.0 for time in _settling(output, errors))
 
 
 @pytest.mark.parametrize("fitted", [True, False])
