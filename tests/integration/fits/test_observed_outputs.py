@@ -132,7 +132,7 @@ HUBER = COSTS["huber"]()
     [
         (
             with_outputs(hidden_springs(detection_limit=LIMIT), lambda o: replace(o, sigma=1.0)),
-            "must have a sigma if it has a detection_limit",
+            "must have a known sigma if it has a detection_limit",
         ),
         (
             replace(hidden_springs(detection_limit=LIMIT), cost=HUBER),
