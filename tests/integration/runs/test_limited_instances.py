@@ -224,7 +224,7 @@ def test_crashes_and_kills_never_make_one_too_many(asked, counted, turns):
             assert crashed == [i for i, rate in enumerate(rates) if rate == CRASHES]
             assert sum(outcome.ok for outcome in outcomes) == len(rates) - len(crashed)
             servers = descendants(2)  # those that would have seen the FMU's process end
-            assert len(servers) == 3
+            assert len(servers) in (2, 3)  # one that ended with the last crash waits for a task
             for server in servers:
                 os.kill(server, signal.SIGKILL)
     assert counted.made > 6 * turns
