@@ -31,6 +31,7 @@ from cluster_est.methods.least_squares.sparse_step import (
     SparseStepSolver,
     eliminate,
     make_chains,
+    powers_of_two,
     solve_shared,
 )
 from cluster_est.methods.method import Evaluation
@@ -126,7 +127,7 @@ def _units(scale: FloatArray) -> FloatArray:
     """
     if np.max(scale, initial=0.0) <= LARGEST_RATIO * np.min(scale, initial=np.inf):
         return np.ones_like(scale)
-    return np.asarray(2.0 ** np.round(np.log2(np.where(scale > 0.0, scale, 1.0))), np.float64)
+    return powers_of_two(scale)
 
 
 @dataclass(frozen=True)

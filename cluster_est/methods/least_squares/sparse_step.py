@@ -127,6 +127,11 @@ class Factor(Protocol):
     def __call__(self, matrix: BlockMatrix, residuals: FloatArray) -> FactoredJacobian: ...
 
 
+def powers_of_two(sizes: FloatArray) -> FloatArray:
+    """Return the power of two next to each size, and 1 for a size of zero."""
+    return np.asarray(2.0 ** np.round(np.log2(np.where(sizes > 0.0, sizes, 1.0))), np.float64)
+
+
 @final
 class SparseStepSolver:
     """Solver that minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
@@ -155,7 +160,7 @@ class SparseStepSolver:
         upper: FloatArray,
     ) -> None:
         # powers of two bring the columns to one size without rounding
-        self._units = np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)
+        self._units = powers_of_two(scale)
         self._scale = scale / self._units
         self._lower, self._upper = lower * self._units, upper * self._units
         self._factored = factor(matrix.divided_columns(self._units), residuals)
