@@ -15,8 +15,6 @@ from cluster_est.methods.method import Evaluation, Points, RequestResult, Search
 Ask = Callable[[Points], list[Evaluation]]
 MOST_SCIPY_RUNS = 5
 """Largest number of runs of SciPy in one search; an unknown derivative requires a new run."""
-FAILED_TRIALS_IN_A_ROW = 3
-"""Number of trial points that failed in a row, after which a short step is no convergence."""
 
 
 class SearchAbandoned(BaseException):

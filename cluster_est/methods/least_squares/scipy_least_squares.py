@@ -13,7 +13,6 @@ from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.callback_bridge import (
-    FAILED_TRIALS_IN_A_ROW,
     MOST_SCIPY_RUNS,
     Ask,
     run_with,
@@ -126,9 +125,10 @@ class ScipyLeastSquares(Method):
         try:
             for _ in range(MOST_SCIPY_RUNS):
                 cache.frozen = cache.frozen_before = np.zeros(space.size, dtype=bool)
+                cache.failures = 0
                 result = self._run(residuals, derivatives, start, bounds)
                 start, relative = result.x, STEP_REDUCTION * relative
-                short = result.status == BY_XTOL and cache.failures >= FAILED_TRIALS_IN_A_ROW
+                short = result.status == BY_XTOL and cache.failures > 0
                 if result.status <= 0 or not cache.guessed.any():
                     break
         except _StartFailedError as failure:
@@ -181,7 +181,7 @@ class _LastEvaluation:
         self.progress = Progress(0, np.nan)
         self.steps: FloatArray | None = None
         self.failures = 0
-        """Number of trial points that failed in a row."""
+        """Number of points of this run of SciPy that failed; each one shortens the next steps."""
         self.size = 1.0
         """A power of two that divides SciPy's residuals.
 
@@ -204,7 +204,7 @@ class _LastEvaluation:
                 size = float(np.linalg.norm(at.residuals))
                 self.size = 2.0 ** min(round(math.log2(size)), 0) if size > 0.0 else 1.0
             self._x, self._at = x.copy(), at
-            self.failures = 0 if at.ok else self.failures + 1
+            self.failures += not at.ok
             if at.ok and not at.cost >= self.progress.cost:
                 self.progress = Progress(0 if first else self.progress.iteration + 1, at.cost)
         return self._at

@@ -18,7 +18,6 @@ import numpy as np
 from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
 
 from cluster_est.methods.callback_bridge import (
-    FAILED_TRIALS_IN_A_ROW,
     MOST_SCIPY_RUNS,
     Ask,
     run_with,
@@ -74,7 +73,7 @@ class EvaluationCache:
         self.scheme = scheme
         self.gradients = 0
         self.failures = 0
-        """Number of points that failed in a row."""
+        """Number of points that failed; each one shortens the next steps."""
         self.progress = Progress(0, np.nan)
         self.best: tuple[FloatArray, Evaluation] | None = None
 
@@ -97,7 +96,7 @@ class EvaluationCache:
             purpose = "start" if self.best is None else "trial"
             (at,) = self._ask(Points(x[None, :], purpose, self.progress))
             self._evaluations[key] = at
-            self.failures = 0 if is_defined(at) else self.failures + 1
+            self.failures += not is_defined(at)
             if len(self._evaluations) > CAPACITY:
                 self._evaluations.popitem(last=False)
             if self.best is None or at.rank < self.best[1].rank:
@@ -396,7 +395,7 @@ class _ScipyCallbacks:
 
     def _cut_short(self, x: FloatArray) -> bool:
         """Return whether failures ended the search at a point that is not optimal."""
-        if self._feasibility_only or self._cache.failures < FAILED_TRIALS_IN_A_ROW:
+        if self._feasibility_only or not self._cache.failures:
             return False
         self._cache.origin = x
         self._cache.derivatives(self._origin)
