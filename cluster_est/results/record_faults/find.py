@@ -115,7 +115,7 @@ def too_few_records(problem: Problem) -> tuple[str, ...]:
     steps += ["measure more experiments"] if len(others) < missing else []
     return (
         f"with fewer than {FEWEST_RECORDS} training experiments, a fault of one record, such as a "
-        "late or scaled column, cannot be told from a missing effect, so no such fault was looked "
+        "late or scaled column, cannot be distinguished from a missing effect, so no such fault was looked "
         f"for; to look for one, {' and '.join(steps)}",
     )
 
