@@ -6,6 +6,7 @@ An expression is parsed as Python and evaluated here; it is never executed as co
 from __future__ import annotations
 
 import ast
+import json
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -221,12 +222,22 @@ class Criterion:
             for end, name in _joined(path):
                 if name in value:
                     return value[name], path[end:]
-        known = [*value] if isinstance(value, Mapping) else []
-        listed = f" It has {', '.join(known[:20])}." if known else ""
-        raise ConfigError(
-            f"--fail-if: {ast.unparse(node)}: there is no part "
-            f"{path[0]!r}{nearest(str(path[0]), known)}{listed}"
+        raise ConfigError(f"--fail-if: {ast.unparse(node)}: {_no_part(value, path[0])}")
+
+
+def _no_part(value: Any, part: str | int) -> str:
+    """Return why a value has no such part, and which parts it has."""
+    if isinstance(value, Mapping) and value:
+        found = f"there is no part {part!r}{nearest(str(part), value)}"
+        return f"{found} It has {', '.join([*value][:20])}."
+    if isinstance(value, list) and isinstance(part, int):
+        return f"there is no part {part}, because this list has {len(value)} entries"
+    if isinstance(value, list):
+        return (
+            f"there is no part {part!r}, because this is a list of {len(value)} entries; select an "
+            f"entry by its number, as in [0], or ask whether it has an entry: {str(part)!r} in LIST"
         )
+    return f"there is no part {part!r}, because {json.dumps(value)[:60]} has no parts"
 
 
 def _joined(path: Sequence[str | int]) -> Iterator[tuple[int, str]]:

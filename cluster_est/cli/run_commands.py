@@ -81,6 +81,7 @@ def print_sweep(answer: Answer, out: Path, rows: Rows, ran: int) -> None:
         ("", _why),
     )
     answer.say(f"table: {out / SWEEP_SUMMARY_FILE}")
+    answer.say(f"for one page about all runs, run: cluster-est report {out}")
 
 
 def sweep_fields(out: Path, rows: Rows, ran: int) -> dict[str, Any]:

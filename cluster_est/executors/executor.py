@@ -137,6 +137,8 @@ class WorkerPool(Executor):
 
     first: Outcome | None = None
     """Outcome of the repeatability test before the first recorded simulation, if there is one."""
+    first_task: Task | None = None
+    """The simulation with the outcome `first`: a later run on these workers may start elsewhere."""
     first_at: float = 0.0
     """Time of the outcome `first`, in seconds of `time.monotonic`."""
 

@@ -139,8 +139,8 @@ def _models(run: ReportedRun) -> list[Block]:
     ]
     names = ("if this is right", "#now", "#after it", "#a random input", "#a recorded input")
     said = (
-        "Expected probability of each model if it is the right one, among itself and those rivals "
-        "that at least one input distinguishes from it"
+        "Probability of each model if it is the right one, now and as expected after the "
+        "experiment; rivals that no input distinguishes from it are left out"
     )
     return [table(names, lines, said)]
 

@@ -50,8 +50,11 @@ def first_screen(run: ReportedRun, charts: RecordCharts) -> FirstScreen:
     return FirstScreen(words, pictures, tuple(sure_words(run)))
 
 
-def parameter_table(run: ReportedRun) -> list[Block]:
-    """Return the shared estimates with absolute and relative 95 % intervals, and meanings."""
+def parameter_table(run: ReportedRun, rest: str = "see Parameters") -> list[Block]:
+    """Return the shared estimates with absolute and relative 95 % intervals, and meanings.
+
+    `rest` says where to find the other parameters.
+    """
     rows = [row for row in run.tables["parameters"] if row["estimated_on"] != "known"]
     shared = [row for row in rows if row.get("scope", "shared") == "shared"]
     chosen = (shared or rows)[:MOST_PARAMETERS]
@@ -63,7 +66,7 @@ def parameter_table(run: ReportedRun) -> list[Block]:
     blocks: list[Block] = [table(names, [_line(row, words) for row in chosen])]
     left = len(run.tables["parameters"]) - len(chosen)
     if left:
-        blocks.append(TextBlock(f"{left} more: see Parameters.", "faint"))
+        blocks.append(TextBlock(f"{left} more: {rest}.", "faint"))
     return blocks
 
 

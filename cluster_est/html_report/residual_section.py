@@ -31,6 +31,7 @@ from cluster_est.html_report.recorded_curves import OutputCurves
 from cluster_est.html_report.reported_run import ReportedRun
 from cluster_est.html_report.scales import Scale
 from cluster_est.statistics.residual_tests import lagged_products
+from workers.effects.definition import per_second
 from workers.messages import FloatArray
 
 MOST_OUTPUTS = 4
@@ -151,7 +152,7 @@ def _variables(name: str, unit: str, records: list[OutputCurves]) -> list[Variab
     found: list[Variable] = [
         ("time", "time (s)", [each.time for each in records]),
         (f"simulated {name}", with_unit(f"simulated {name}", unit), [e.after for e in records]),
-        (f"rate of {name}", with_unit(f"rate of {name}", f"{unit}/s" if unit else ""), rates),
+        (f"rate of {name}", with_unit(f"rate of {name}", per_second(unit) if unit else ""), rates),
     ]
     inputs = [{given.name: given for given in each.inputs} for each in records]
     for given in list(inputs[0].values())[:MOST_VARIABLES]:

@@ -128,7 +128,8 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     title, tone = _headline(runs, best)
     words: list[Block] = []
     if best is not None and best.found is not None:
-        words = [*parameter_table(best.found), *error_table(best.found)]
+        rest = "see the report of the best run"
+        words = [*parameter_table(best.found, rest), *error_table(best.found)]
     sections = (_estimates(ranked), _history(folder, runs, best), _runs(runs))
     page = rendered(
         "sweep.html",

@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -253,7 +252,7 @@ class _Named(Mapping[str, Estimate]):
     """Estimates by label, displayed as a table; the error for a wrong label names the nearest."""
 
     def __init__(self, found: Mapping[str, Estimate]) -> None:
-        self._found = MappingProxyType(dict(found))
+        self._found = dict(found)
 
     def __getitem__(self, label: str) -> Estimate:
         if label not in self._found:

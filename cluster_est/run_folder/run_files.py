@@ -150,7 +150,10 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
     """
     path = run_folder / "run.json"
     if not path.is_file():
-        raise RunFolderError(f"{run_folder}: must be the folder of a run, but has no run.json")
+        do = ""
+        if (run_folder / SWEEP_SUMMARY_FILE).is_file():
+            do = "; it is the folder of a sweep: choose the folder of one of its runs in it"
+        raise RunFolderError(f"{run_folder}: must be the folder of a run, but has no run.json{do}")
     content = path.read_bytes()
     try:
         if is_damaged(content):

@@ -92,6 +92,10 @@ class RepeatabilityAnswer:
     first: Outcome | None = None
     at: float = 0.0
 
+    def keep(self, pool: WorkerPool, test: RepeatabilityTest) -> None:
+        """Keep the first simulation with the pool, to repeat it later."""
+        pool.first, pool.first_task, pool.first_at = self.first, test.tasks[0], self.at
+
 
 @dataclass(frozen=True)
 class RepeatabilityTest:
@@ -273,7 +277,7 @@ def _find_policy(
             pool.close()
             raise
         if decision is not None and not elsewhere:
-            pool.first, pool.first_at = answers[policy].first, answers[policy].at
+            answers[policy].keep(pool, question)
             if pool.on_cluster:
                 decision = _compared(problem, pool, decision, last=True)
             return pool, decision
@@ -282,7 +286,7 @@ def _find_policy(
             if here:
                 _refuse_here(file, resources.executor, policy, answers[policy])
             pool = start(resources.executor, decision.policy, resources.workers)
-            pool.first, pool.first_at = answers[policy].first, answers[policy].at
+            answers[policy].keep(pool, question)
             return pool, _tried(problem, pool, decision, trial)
     decision = _never_the_same(file, answers)
     return start(resources.executor, decision.policy, resources.workers), decision
@@ -325,12 +329,12 @@ def _compared(
     `last` selects the last worker instead of the first. `later` waits until a clock of whole
     seconds has changed.
     """
-    first, task = pool.first, RepeatabilityTest.of(problem).tasks[:1]
-    if first is None or first.seconds > LONG_SECONDS:
+    first, task = pool.first, pool.first_task
+    if first is None or task is None or first.seconds > LONG_SECONDS:
         return decision
     if later:
         time.sleep(max(0.0, pool.first_at + LATER_SECONDS - time.monotonic()))
-    again = pool.one_worker(task, last=last)
+    again = pool.one_worker([task], last=last)
     if all(not outcome.ok or _bits(outcome) == _bits(first) for outcome in again):
         return decision
     return ResetDecision(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import calendar
+import hashlib
+import json
 import math
 import time
 import tomllib
@@ -248,8 +250,8 @@ class RunRow:
         state, traces = self._progress.state, self._traces
         goes_on = facts["status"] == RunStatus.RUNNING
         best = traces.best
-        lowest = traces.lowest or [cost for _, _, cost in traces.costs]
-        points = list(enumerate(lowest))
+        # only the searches of a fit are of one model: other costs have no best so far
+        points = list(enumerate(traces.lowest))
         return _plain({
             "name": self.name,
             "status": facts["status"],
@@ -257,6 +259,7 @@ class RunRow:
             "verdict": facts.get("verdict"),
             "message": facts.get("message") or left_alone(self.path, str(facts["status"])),
             "cost": best_cost(facts, traces),
+            "data": _data_key(facts),
             "age": _age(facts.get("started")),
             "seconds": _known("seconds", facts, state),
             "simulations": _known("simulations", facts, state),
@@ -265,6 +268,12 @@ class RunRow:
             "line": _thin(points, COST_COLUMNS) if points else [],
             "values": {} if best is None else _first(best.values),
         })  # fmt: skip
+
+
+def _data_key(facts: Mapping[str, Any]) -> str:
+    """Return a key that runs share if they have the same FMU and the same experiments."""
+    of = json.dumps([(facts.get("fmu") or {}).get("sha256"), facts.get("experiments")])
+    return hashlib.sha256(of.encode()).hexdigest()[:16]
 
 
 def _first(values: Mapping[str, float]) -> dict[str, float]:

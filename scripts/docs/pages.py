@@ -66,6 +66,7 @@ def forms_page() -> str:
         "Made from the code. [Adding what the model lacks](adding_effects.md) says how to declare "
         "an effect; `cluster-est forms` prints the same as this page, and `cluster-est forms NAME` "
         f"one form with a block for a config. {SYMBOLS}",
+        "![The shapes of forms at each kind of site](form_shapes.svg)",
     ]
     for kind, (site, meaning) in SITES.items():
         rows = [_form(kind, form) for (at, _), form in EVERY_FORM.items() if at == kind]

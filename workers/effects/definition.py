@@ -415,7 +415,7 @@ def _units(
     site = definition.site
     found = [unit(name) for name in site.targets]
     if site.at_rates:
-        found = [_per_second(each) for each in found]
+        found = [per_second(each) for each in found]
     units = {"site": found[0], "s": found[0], "other": found[-1], "second": "s"}
     texts = definition.effect.variables or (site.target,)
     for word, text in zip(("v", "w"), texts, strict=False):
@@ -424,7 +424,7 @@ def _units(
     return units
 
 
-def _per_second(unit: str) -> str:
+def per_second(unit: str) -> str:
     """Return a unit divided by a second: "m/s" becomes "m/s^2"."""
     found = re.fullmatch(r"(.+)/s(?:\^?(\d))?", unit)
     return f"{found[1]}/s^{int(found[2] or 1) + 1}" if found else f"{unit}/s"
@@ -446,7 +446,7 @@ def _fill(template: str, units: Mapping[str, str]) -> str:
         return "1"
     if "?" not in bottom and top.startswith(f"{bottom}/"):  # for example "V/s" over "V"
         return f"1{top.removeprefix(bottom)}"
-    return _per_second(top) if bottom == "s" else f"{top}/{bottom}"
+    return per_second(top) if bottom == "s" else f"{top}/{bottom}"
 
 
 def _powered(found: re.Match[str], units: Mapping[str, str], *, alone: bool) -> str:

@@ -115,8 +115,8 @@ def too_few_records(problem: Problem) -> tuple[str, ...]:
     steps += ["measure more experiments"] if len(others) < missing else []
     return (
         f"with fewer than {FEWEST_RECORDS} training experiments, a fault of one record, such as a "
-        "late or scaled column, cannot be told from a missing effect, so no such fault was looked "
-        f"for; to look for one, {' and '.join(steps)}",
+        "late or scaled column, cannot be distinguished from a missing effect, so no such fault "
+        f"was looked for; to look for one, {' and '.join(steps)}",
     )
 
 

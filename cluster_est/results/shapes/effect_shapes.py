@@ -21,6 +21,7 @@ from workers.effects.definition import (
     SIGNAL_SYMBOL,
     EffectDefinition,
     define_all,
+    per_second,
     variable_symbol,
 )
 from workers.effects.site import EffectSite, difference, own_variable, parts_of, split_variable
@@ -349,7 +350,7 @@ def _curve(
         positive=part.positive,
         variable=part.argument,
         variable_unit="s" if part.argument == "time" else units.get(first, ""),
-        unit=f"{unit}/s" if unit and at_rates else unit,
+        unit=per_second(unit) if unit and at_rates else unit,
         x=x,
         y=y,
         lower=y - spread,

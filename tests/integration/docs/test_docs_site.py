@@ -237,7 +237,8 @@ def test_every_table_that_is_described_is_written_by_some_run(run):
 
 
 def test_every_form_is_on_the_page_under_its_site():
-    _, *sections = forms_page().split("\n## ")
+    head, *sections = forms_page().split("\n## ")
+    assert "(form_shapes.svg)" in head
     assert [s.partition("\n")[0] for s in sections] == [site for site, _ in SITES.values()]
     for kind, section in zip(SITES, sections, strict=True):
         for form in (form for (site, _), form in EVERY_FORM.items() if site == kind):

@@ -135,7 +135,7 @@ def test_two_records_say_nothing_of_which_is_odd():
     found = ce.fit(springs(only(ODD["gain"][0], which=1), count=2), resources=ONE)
     assert not found.record_faults
     (note,) = [each for each in found.notes if "training experiments" in each]
-    assert "cannot be told from a missing effect" in note
+    assert "cannot be distinguished from a missing effect" in note
     assert note.endswith("to look for one, measure more experiments")
 
 

@@ -53,6 +53,7 @@ def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(
         assert said in text
     x, y, low, high = (np.array(shape[name]) for name in ("x", "y", "lower", "upper"))
     assert (shape["part"], shape["variable"], shape["variable_unit"]) == ("der(v)", "v", "m/s")
+    assert shape["unit"] == "m/s^2"
     fast = np.abs(x) > 5.0 * WIDTH
     assert y[fast] == pytest.approx(-FRICTION * np.sign(x[fast]), rel=0.05)
     assert np.all((low <= y) & (y <= high))

@@ -53,6 +53,11 @@ def test_it_says_how_many_runs_ended_well_and_which_are_best(sweep, capsys):
     assert "1 min 15 s" in page.text
 
 
+def test_a_command_for_a_run_says_that_it_was_given_a_sweep(sweep, capsys):
+    assert main(["show", str(sweep)]) == 2
+    assert "the folder of a sweep: choose the folder of one of its runs" in capsys.readouterr().err
+
+
 def test_its_pictures_show_the_errors_and_the_estimates_of_every_run(sweep):
     figures = Figures(page_of(sweep))
     errors, estimates = figures.by_id("errors-of-runs"), figures.by_id("estimates-0")
@@ -178,6 +183,13 @@ def test_it_links_to_a_report_of_each_run_wherever_it_stands(fits, tmp_path):
             linked = page.parent / unquote(link)
             assert linked.name == "report.html"
             assert "Fitted, but doubtful" in Page(linked).text
+
+
+def test_parameters_left_out_are_in_the_report_of_the_best_run(fits, monkeypatch):
+    monkeypatch.setattr("cluster_est.html_report.first_screen.MOST_PARAMETERS", 1)
+    text = Page(page_of(fits)).text
+    assert "more: see the report of the best run." in text
+    assert "see Parameters" not in text  # a sweep has no such section
 
 
 def test_small_differences_look_small(tmp_path):

@@ -394,6 +394,20 @@ def seen(page, selector, text):
     )
 
 
+def test_costs_of_different_models_or_data_have_no_best(ended, configured, tmp_path):
+    for name, source in (("a", ended), ("b", configured), ("c", configured)):
+        shutil.copytree(source, tmp_path / name)
+    progress = tmp_path / "c" / "progress.jsonl"
+    lines = progress.read_text()
+    assert '"train"' in lines
+    progress.write_text(lines.replace('"train"', '"candidate"'))  # as the searches of a closed loop
+    with LivePage(tmp_path) as page:
+        a, b, c = Visitor(page).state()["runs"]
+    assert a["data"] != b["data"] == c["data"]
+    assert b["line"]
+    assert not c["line"]
+
+
 @pytest.mark.slow
 def test_in_a_browser_figures_move_and_the_button_stops_the_run(endless, tmp_path, visit):
     process, address = endless

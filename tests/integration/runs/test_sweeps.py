@@ -102,6 +102,7 @@ def test_other_studies_are_swept_as_well(sweep, study):
     quick = {"closed_loop.max_effects": 1, "sensitivity.groups": 10}
     code, printed, _ = sweep(study=study, axes=[seeds], overrides=quick)
     assert code == 0
+    assert f"for one page about all runs, run: cluster-est report {OUT}" in printed
     first, second = rows(OUT, "summary")
     assert (first["seed"], second["seed"]) == (0, 1)
     given = [f"{key}={value}" for key, value in quick.items()]

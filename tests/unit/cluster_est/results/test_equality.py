@@ -46,8 +46,10 @@ def test_a_copy_is_equal(name):
 
 
 def test_a_copy_of_a_result_is_equal_and_another_result_is_not(result):
+    assert "m" in result.params  # a result is also copied after it has been read
     for other in copies(result):
         assert other == result
+        assert list(other.params.items()) == list(result.params.items())
     assert replace(result, seed=result.seed + 1) != result
     x = np.nextafter(result.solution.x, np.inf)
     assert replace(result, solution=replace(result.solution, x=x)) != result

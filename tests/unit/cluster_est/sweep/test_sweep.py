@@ -7,7 +7,7 @@ from support.spoiled import valid_tree, write_input
 
 from cluster_est import Solver, build_problem
 from cluster_est.errors import ConfigError
-from cluster_est.running.environment import SharedPools
+from cluster_est.running.environment import Monitor, RunEnvironment, SharedPools
 from cluster_est.running.resources import Resources
 from cluster_est.sweep.matrix import read_sweep
 from cluster_est.toml import to_toml
@@ -167,6 +167,21 @@ def test_workers_stay_for_the_same_experiments(tmp_path):
         first = leased(pools, opened[0])
         assert leased(pools, opened[1]) is first
         assert leased(pools, opened[2]) is not first
+
+
+def test_runs_with_other_start_values_do_not_make_an_fmu_unrepeatable(tmp_path):
+    write_input(tmp_path)
+    problem, said = problem_of(tmp_path, ["a"]), []
+    first, *rest = problem.parameters
+    elsewhere = replace(problem, parameters=(replace(first, start=1.7 * first.start), *rest))
+    with SharedPools() as pools:
+        of = RunEnvironment(monitor=Monitor(reset=said.append), source=pools)
+        for each in (problem, elsewhere):
+            with of.executor(each):
+                pass
+    assert len(said) == 2  # each run is told the decision once: no comparison has changed it
+    assert said[0].plain
+    assert said[1] == said[0]
 
 
 @pytest.mark.parametrize(
