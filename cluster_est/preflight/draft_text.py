@@ -232,6 +232,8 @@ def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> It
 
 def _time(run: DraftExperiment) -> Iterator[str]:
     time = run.columns.time
+    if run.columns.refusal:
+        yield f"# check and fit refuse these times: {run.columns.refusal}"
     if time is not None:
         yield f"time = {inline(time.name)}"
         return

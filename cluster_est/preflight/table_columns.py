@@ -28,6 +28,7 @@ from cluster_est.preflight.table_times import (
     find_time,
     may_hold_numbers,
     own_clocks,
+    refusal,
 )
 from cluster_est.problem.tables.cells import is_switch, is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
@@ -45,7 +46,6 @@ from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.tables.units import conversion, is_known, split_unit
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
-from workers.messages.signals import check_times
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,8 @@ class TableColumns:
         Reasons for columns of numbers with a value that is not a number, by name.
     missing
         Numbers of which the user says that they mark missing measurements.
+    refusal
+        Why check and fit refuse its times; "" if they do not.
     """
 
     path: Path
@@ -88,6 +90,7 @@ class TableColumns:
     tests: tuple[str, ...] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
     missing: tuple[float, ...] = ()
+    refusal: str = ""
 
     @property
     def named(self) -> dict[str, TableColumn]:
@@ -152,6 +155,7 @@ def read_columns(
             "the separator between columns, and that the first row has the names of the columns"
         )
     rising = [] if found is not None else [c.name for c in columns if c.increases]
+    wrong = "" if found is None else refusal(found, table, [c.name for c in columns])
     return TableColumns(
         path,
         tuple(columns),
@@ -163,12 +167,14 @@ def read_columns(
         notes=(
             *whole.notes,
             *_note_on_clocks(own),
-            *(_notes_on_times(found, table) if found is not None else ()),
+            *(_notes_on_times(found) if found is not None else ()),
+            *(f"{why}; check and fit refuse the table until then" for why in (wrong,) if why),
         ),
         split_by=split_by,
         tests=tests,
         refused=refused,
         missing=missing,
+        refusal=wrong,
     )
 
 
@@ -179,16 +185,10 @@ def _note_on_clocks(own: Mapping[str, str]) -> Iterator[str]:
         yield f"its signals have their own times: {pairs}"
 
 
-def _notes_on_times(found: FoundTime, table: MeasuredTable) -> Iterator[str]:
-    """Yield notes on how times were read, on repeated times, and on missing rows."""
+def _notes_on_times(found: FoundTime) -> Iterator[str]:
+    """Yield notes on how times were read, and on missing rows."""
     if found.said:
         yield found.said
-    if not table.signals:  # otherwise each signal has its own rows
-        try:
-            where = f"column {found.column.name!r}"
-            check_times(found.seconds, where, lambda i: f"row {table.row(i)}", of_rows=True)
-        except DataError as error:
-            yield f"{error}; check and fit refuse the table until then"
     gaps = long_steps(np.unique(found.seconds[np.isfinite(found.seconds)])).tolist()
     if gaps:
         first, last = gaps[0]
