@@ -14,6 +14,7 @@ from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.given_cost import as_cost
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.sigmas import mixed_sigmas
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.problem.tables.measured import TableSource
@@ -218,9 +219,9 @@ class Problem:
         return communication_notes(self.model, self.describe(), self.experiments)
 
     def data_notes(self) -> tuple[str, ...]:
-        """Return notes on numbers that are probably not measurements, and on gaps in records."""
+        """Return notes on numbers that are probably not measurements, on gaps, and on sigmas."""
         gaps = [(said, do) for said, do, _ in gap_findings(self.gaps)]
-        found = [*gaps, *self.data_findings]
+        found = [*gaps, *self.data_findings, *mixed_sigmas(self.experiments)]
         return tuple(f"{said}: {do}" if do else said for said, do in found)
 
     @property
