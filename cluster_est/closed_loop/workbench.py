@@ -277,8 +277,8 @@ def _weight_note(problem: Problem, noise: dict[str, float], *, some: bool) -> st
     none = "not every" if some else "no"
     return (
         f"{none} sigma of the outputs is known, so each output was weighted with its estimated "
-        f"noise{but}; for a fit with the same weights, write sigma = {{ {pairs} }} and sigma_known = "
-        "false into the experiments"
+        f"noise{but}; for a fit with the same weights, write sigma = {{ {pairs} }} and "
+        "sigma_known = false into the experiments"
     )
 
 
