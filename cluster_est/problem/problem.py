@@ -24,6 +24,7 @@ from cluster_est.problem.variables import (
     check_effects,
     check_experiment,
     check_interface,
+    check_names,
     check_parameters,
     check_signals,
     coefficient_names,
@@ -74,6 +75,8 @@ class Problem:
     ------
     ProblemError
         If names repeat, or experiments and parameters contradict each other.
+    ModelError
+        If the FMU has no variable of a name.
     """
 
     model: Model
@@ -103,6 +106,10 @@ class Problem:
                 f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}; "
                 "reorder them"
             )
+        own_parameters = [p for p in self.parameters if not p.auxiliary][
+            : len(targets) - len(names)
+        ]
+        check_names(self.model, own_parameters, self.experiments)
         self.derived  # noqa: B018 - raises errors immediately
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
