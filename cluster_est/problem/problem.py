@@ -106,10 +106,8 @@ class Problem:
                 f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}; "
                 "reorder them"
             )
-        own_parameters = [p for p in self.parameters if not p.auxiliary][
-            : len(targets) - len(names)
-        ]
-        check_names(self.model, own_parameters, self.experiments)
+        named = [p for p in self.parameters if not p.auxiliary]
+        check_names(self.model, named[: len(self.model.parameters)], self.experiments)
         self.derived  # noqa: B018 - raises errors immediately
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(

@@ -244,7 +244,7 @@ def test_experiments_that_the_fmu_is_not_for(use, change, said):
 def test_names_are_compared_with_the_fmu_when_the_problem_is_made(change, said):
     with pytest.raises(ModelError, match=said):
         ce.Problem(MODEL, [MASS], [replace(RUN, **change)])
-    with pytest.raises(ModelError, match="parameters.mm: .*'mm'; did you mean 'm'"):
+    with pytest.raises(ModelError, match=r"parameters\.mm: .*'mm'; did you mean 'm'"):
         ce.Problem(MODEL, [ce.Parameter("mm", 1.0)], [RUN])
 
 
