@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.config.sections import Config
+from cluster_est.preflight.column_matches import has_unit
 from cluster_est.preflight.subject import CheckFinding, fault, listed, note, passed
-from cluster_est.preflight.table_columns import has_unit
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.sigmas import mixed_sigmas

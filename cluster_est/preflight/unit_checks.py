@@ -21,7 +21,7 @@ from cluster_est.preflight.subject import (
     unanswered,
 )
 from cluster_est.preflight.table_column import split_suffix
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 from cluster_est.problem.tables.units import (
     UnitConversion,
     conversion,

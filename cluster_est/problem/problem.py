@@ -17,7 +17,7 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.sigmas import mixed_sigmas
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import jump_findings
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 from cluster_est.problem.tables.sparse_inputs import sparse_inputs
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
 from cluster_est.problem.variables import (
