@@ -105,8 +105,10 @@ def _source(
     times = () if section.time is None else tuple(section.time.split(JOINT))
     used = (*times, *(table.resolved(column) for _, column in named))
     changed, notes = replace(raw, changes=_changes(section, table)), list(table.notes)
-    if section.time is not None and (said := changed.clock(section.time).said):
-        notes.append(said)
+    clock = None if section.time is None else changed.clock(section.time)
+    if clock is not None and clock.said:
+        notes.append(clock.said)
+    dated = table.dated or (clock is not None and clock.origin is not None)
     found = by_column(numbers, looked_at, section.id)
     source = TableSource(
         section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
@@ -114,7 +116,7 @@ def _source(
         _units(table, used), _output_gaps(changed, section),
         tuple((f"inputs.{n}.time", each.time) for n, each in section.inputs.items() if each.time),
         tuple((name, changed.unit(each.column)) for name, each in section.signals.items()),
-        _switches(table, section),
+        _switches(table, section), dated,
     )  # fmt: skip
     return [source]
 

@@ -204,7 +204,7 @@ def _wrong_times(times: FloatArray, back: IntArray, usual: float) -> list[int]:
         rows += [range(i, i + 1)] if i == len(times) - 1 else []
         if not rows:
             return []
-        found += min(rows, key=len)
+        found += min(rows, key=lambda each: len(each))
     return sorted(set(found))
 
 

@@ -98,6 +98,8 @@ class MeasuredTable:
         signal.
     files
         For each column of a test in several files, the table of its file and its name there.
+    dated
+        Whether the times of several files were counted from a date.
     parsed
         Numeric columns that were already parsed, with all rows.
     stamps
@@ -118,6 +120,7 @@ class MeasuredTable:
     long_values: str = ""
     signals: Mapping[str, npt.NDArray[np.int64]] = field(default_factory=dict, repr=False)
     files: Mapping[str, tuple[MeasuredTable, str]] = field(default_factory=dict, repr=False)
+    dated: bool = False
     parsed: dict[str, FloatArray] = field(default_factory=dict, repr=False, compare=False)
     stamps: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 

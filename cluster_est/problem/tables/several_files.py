@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -126,29 +125,41 @@ def join_files(files: Sequence[TimedFile], time: str) -> MeasuredTable:
     """
     repeated = Counter(name for each in files for name in each.signals)
     columns: dict[str, Column] = {time: np.unique(np.concatenate([each.known for each in files]))}
-    found: dict[str, dict[str, Any]] = {"unusable": {}, "units": {}, "clocks": {}, "files": {}}
+    units: dict[str, str] = {}
+    clocks: dict[str, str] = {}
+    places: dict[str, tuple[MeasuredTable, str]] = {}
     for each in files:
         for name in each.signals:
             own = f"{each.label}.{name}" if repeated[name] > 1 else name
-            clock = each.table.clocks.get(name, "")
-            clock = clock if clock in each.clocks else time
-            times = f"{clock} of {each.label}"
-            columns[times] = each.clocks.get(clock, each.times.seconds)
-            columns[own] = each.table.columns[name]
-            found["clocks"][own] = times
-            found["files"][own] = (each.table, name)
-            found["units"] |= {own: unit} if (unit := each.table.units.get(name)) else {}
-        found["unusable"] |= each.table.unusable
-    named = " + ".join([str(files[0].table.path), *(each.name for each in files[1:])])
-    notes = [f"{each.name}: {said}" for each in files for said in each.table.notes]
-    notes += [*filter(None, [files[0].times.said]), *clock_differences(files)]
+            clock = each.table.clocks.get(name, time)
+            clocks[own] = f"{clock if clock in each.clocks else time} of {each.label}"
+            columns[clocks[own]] = each.clocks.get(clock, each.times.seconds)
+            columns[own], places[own] = each.table.columns[name], (each.table, name)
+            units |= {own: unit} if (unit := each.table.units.get(name)) else {}
+    return MeasuredTable(
+        " + ".join([str(files[0].table.path), *(each.name for each in files[1:])]),
+        columns,
+        {name: why for each in files for name, why in each.table.unusable.items()},
+        units=units,
+        clocks=clocks,
+        notes=tuple(_notes(files)),
+        reading=files[0].table.reading,
+        files=places,
+        dated=files[0].times.origin is not None,
+    )
+
+
+def _notes(files: Sequence[TimedFile]) -> Iterator[str]:
+    """Yield how the files were read, and what their times show about their clocks."""
+    yield from (f"{each.name}: {said}" for each in files for said in each.table.notes)
+    if files[0].times.said:
+        yield files[0].times.said
+    yield from clock_differences(files)
     if files[0].times.origin is None and all(each.known[0] == 0.0 for each in files):
-        notes.append(
+        yield (
             "the times of every file begin at 0, so they do not show whether the files began at "
             "the same time; if one began later, give its columns the negative delay as late"
         )
-    reading = files[0].table.reading
-    return MeasuredTable(named, columns, notes=tuple(notes), reading=reading, **found)
 
 
 def _timed(

@@ -52,6 +52,9 @@ class TableSource:
         (config key, column) of each input with its own times, such as ("inputs.u.time", "t_u").
     signal_units
         (signal, unit), from `MeasuredColumns.unit`.
+    dated
+    dated
+        Whether the times were counted from a date, or from a time since 1970.
     switches
         Columns of inputs with words such as "on", or with truth values, that are used unchanged.
     """
@@ -73,6 +76,7 @@ class TableSource:
     clocks: tuple[tuple[str, str], ...] = ()
     signal_units: tuple[tuple[str, str], ...] = ()
     switches: tuple[str, ...] = ()
+    dated: bool = False
 
     def unused(self) -> UnusedColumns:
         """Read the file again, and return its unused columns.

@@ -80,6 +80,13 @@ class TestOneClock:
         (note,) = problem.tables[0].notes
         assert "counted in seconds from the first row, 2026-11-03 10:01:40.000 UTC" in note
 
+    def test_the_unit_of_times_since_1970_is_not_missing(self, read, tmp_path, capsys):
+        """They are converted, so check must not say that they are used as seconds."""
+        two(tmp_path, milliseconds(FAST), milliseconds(SLOW), ("time_ms", "time_ms"))
+        check_channels(read(time="time_ms"))
+        assert main(["check", "a.toml", "--seconds", "0"]) == 0
+        assert "time_ms' in ms" not in capsys.readouterr().out
+
     def test_a_pattern_in_a_list_means_the_files_of_one_test(self, read, tmp_path):
         two(tmp_path)
         check_channels(read('["run_*.csv"]'))
