@@ -204,7 +204,8 @@ def _wrong_times(times: FloatArray, back: IntArray, usual: float) -> list[int]:
         rows += [range(i, i + 1)] if i == len(times) - 1 else []
         if not rows:
             return []
-        found += min(rows, key=lambda each: len(each))
+        shortest: range = min(rows, key=len)
+        found += shortest
     return sorted(set(found))
 
 
