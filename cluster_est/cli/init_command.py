@@ -38,7 +38,7 @@ def init(options: Namespace, answer: Answer) -> int:
     for run in {run.columns.path: run for run in found.runs}.values():
         for note in run.columns.notes:
             answer.say(f"{run.columns.path}: {note}")
-    for said in _stand_ins(found):
+    for said in (*found.notes, *_stand_ins(found)):
         answer.say(said)
     open_ = open_lines(text)
     missing = list(dict.fromkeys(name for run in found.runs for name in run.missing_inputs))

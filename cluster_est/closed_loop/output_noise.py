@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.problem.sigmas import declares_sigma
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
@@ -60,9 +61,9 @@ def is_told(records: StackedRecords, output: int) -> bool:
 
 
 def is_given(fitter: Fitter, output: int) -> bool:
-    """Return whether some sigma of an output is known."""
+    """Return whether the sigma of an output is known in all experiments."""
     name = fitter.records.outputs[output]
-    return any(o.has_sigma for run in fitter.runs for o in run.outputs if o.variable == name)
+    return declares_sigma(o for run in fitter.runs for o in run.outputs if o.variable == name)
 
 
 def measured_values(fitter: Fitter) -> FloatArray:

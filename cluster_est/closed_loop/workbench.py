@@ -27,6 +27,7 @@ from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
+from cluster_est.problem.sigmas import declares_sigma
 from cluster_est.problem.variables import silent_notes
 from cluster_est.running.arguments import check_method, check_problem
 from cluster_est.running.environment import RunEnvironment
@@ -114,9 +115,9 @@ def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None
 def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """Start the workers and install the experiments with their synthetic copies.
 
-    If there are several outputs and none has a sigma, a first fit estimates the noise of each
-    output, which is then used as its sigma. Otherwise the result would depend on the outputs'
-    units.
+    If there are several outputs and their sigmas are not declared, a first fit estimates the noise
+    of each output, which is then used as its sigma. Otherwise the result would depend on the
+    outputs' units.
     """
     problem = request.problem
     description = problem.describe()
@@ -133,7 +134,8 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
                 noise = noise_of(fitter, fitted.residuals)
                 sigmas = dict(zip(fitter.records.outputs, noise.tolist(), strict=True))
                 request = replace(request, problem=_weighted(problem, sigmas))
-                weights = (_weight_note(request.problem, sigmas),)
+                some = any(o.has_sigma for e in problem.experiments for o in e.outputs)
+                weights = (_weight_note(request.problem, sigmas, some=some),)
     with _opened(request, description) as fitter:
         problem = request.problem
         notes = (*_notes(problem, description), *weights)
@@ -250,8 +252,8 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
 
 
 def _declares_sigma(problem: Problem) -> bool:
-    """Return whether some output has a sigma."""
-    return any(o.has_sigma for e in problem.experiments for o in e.outputs)
+    """Return whether the sigmas of the training experiments are declared."""
+    return declares_sigma(o for e in problem.experiments if e.role == "train" for o in e.outputs)
 
 
 def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
@@ -267,15 +269,16 @@ def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
     return with_outputs(problem, change)
 
 
-def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
+def _weight_note(problem: Problem, noise: dict[str, float], *, some: bool) -> str:
     sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
     pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
     silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
     but = f", except {' and '.join(silent)}, whose noise is not known" if silent else ""
+    none = "not every" if some else "no"
     return (
-        "no sigma of the outputs is known, so each output was weighted with its estimated noise"
-        f"{but}; for a fit with the same weights, write sigma = {{ {pairs} }} and sigma_known = "
-        "false into the experiments"
+        f"{none} sigma of the outputs is known, so each output was weighted with its estimated "
+        f"noise{but}; for a fit with the same weights, write sigma = {{ {pairs} }} and "
+        "sigma_known = false into the experiments"
     )
 
 

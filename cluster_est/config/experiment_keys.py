@@ -133,11 +133,12 @@ class _NamedSection(ConfigSection):
 class _ExperimentKeys(ConfigSection):
     """Keys that may be set for an experiment or as defaults for all experiments."""
 
-    data: str | None = Field(
+    data: str | Annotated[list[str], Field(min_length=1)] | None = Field(
         None,
         description="path of the table: csv, parquet, feather or mat; with cluster-est[files] also "
         "HDF5, MDF, TDMS or xlsx; with a * in the name, each matching file is one "
-        "experiment; default: nothing is measured",
+        "experiment; a list of paths: the files of one test, each with its own times in the "
+        "column time; default: nothing is measured",
     )
     encoding: str = Field(
         "",

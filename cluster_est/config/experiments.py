@@ -1,9 +1,4 @@
-"""Conversion of a config's experiments to measured signals, constraints and time bases.
-
-The time base determines the times at which simulated and measured signals are compared. A
-simulation stops exactly at each of these times, so only measured signals are interpolated. The
-number of residuals is the same at every point, independent of the solver.
-"""
+"""Conversion of a config's experiments to measured signals, constraints and time bases."""
 
 from __future__ import annotations
 
@@ -17,9 +12,10 @@ import numpy as np
 from cluster_est.config.choices import UserCode
 from cluster_est.config.constraints import constraint_functions, signal_bounds
 from cluster_est.config.experiment_keys import ExperimentSection
-from cluster_est.config.sections import Config, Normalise, TimeBase
+from cluster_est.config.sections import Config
+from cluster_est.config.time_base import compared_at, counted, snapped_bound, weighted
 from cluster_est.errors import ConfigError
-from cluster_est.problem.held_out import hold_out, within
+from cluster_est.problem.held_out import hold_out
 from cluster_est.problem.tables.cells import is_switch
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.gaps import RecordGap, output_gaps
@@ -28,11 +24,12 @@ from cluster_est.problem.tables.measured import (
     Clock,
     ColumnChange,
     MeasuredColumns,
-    TableSource,
     interval,
     without_samples,
 )
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
+from cluster_est.problem.tables.several_files import join_files, timed_files
+from cluster_est.problem.tables.sources import TableSource
 from cluster_est.problem.tables.stand_ins import by_column
 from cluster_est.problem.tables.times import JOINT
 from cluster_est.settings import MOST_TIMES
@@ -43,9 +40,7 @@ from workers.messages import (
     Experiment,
     FloatArray,
     Input,
-    Interpolation,
     Output,
-    SignalBound,
 )
 
 Tables = dict[tuple[Path, Reading], MeasuredTable]
@@ -109,9 +104,11 @@ def _source(
     looked_at = [(key, column) for key, column in named if column in numbers]
     times = () if section.time is None else tuple(section.time.split(JOINT))
     used = (*times, *(table.resolved(column) for _, column in named))
-    changed, notes = replace(raw, changes=_changes(section)), list(table.notes)
-    if section.time is not None and (said := changed.clock(section.time).said):
-        notes.append(said)
+    changed, notes = replace(raw, changes=_changes(section, table)), list(table.notes)
+    clock = None if section.time is None else changed.clock(section.time)
+    if clock is not None and clock.said:
+        notes.append(clock.said)
+    dated = table.dated or (clock is not None and clock.origin is not None)
     found = by_column(numbers, looked_at, section.id)
     source = TableSource(
         section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
@@ -119,7 +116,7 @@ def _source(
         _units(table, used), _output_gaps(changed, section),
         tuple((f"inputs.{n}.time", each.time) for n, each in section.inputs.items() if each.time),
         tuple((name, changed.unit(each.column)) for name, each in section.signals.items()),
-        _switches(table, section),
+        _switches(table, section), dated,
     )  # fmt: skip
     return [source]
 
@@ -162,10 +159,13 @@ def _units(table: MeasuredTable, used: Sequence[str]) -> tuple[tuple[str, str], 
     return tuple((name, table.units[name]) for name in used if table.units.get(name))
 
 
-def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:
-    return {
+def _changes(section: ExperimentSection, table: MeasuredTable) -> dict[str, ColumnChange]:
+    """Return the changes of columns; times of several files were changed when these were joined."""
+    joined = (section.time or "", *table.clocks.values()) if table.files else ()
+    return dict.fromkeys(joined, ColumnChange()) | {
         name: ColumnChange(each.factor, each.offset, each.demean, each.late)
         for name, each in section.columns.items()
+        if name not in joined
     }
 
 
@@ -180,13 +180,20 @@ def _table(
     section: ExperimentSection, config: Config, base: Path, tables: Tables, where: str
 ) -> MeasuredTable:
     """Return the table of an experiment; each file is read once for each way of reading."""
-    data = section.data or ""
-    path = find_file(data, base, config.data_folders, f"{where}.data")
-    key = (path, reading_of(section))
-    if key not in tables:
-        tables[key] = read_table(path, where, reading=key[1])
+    names = section.data if isinstance(section.data, list) else [section.data or ""]
+    found = []
+    for name in names:
+        key = (find_file(name, base, config.data_folders, f"{where}.data"), reading_of(section))
+        if key not in tables:
+            tables[key] = read_table(key[0], where, reading=key[1])
+        found.append(tables[key])
     test = _test(section)
-    return tables[key] if test is None else tables[key].part(*test, where)
+    if len(found) > 1:
+        change = section.columns.get(section.time or "")
+        scale = (None, 0.0) if change is None else (change.factor, change.offset)
+        time = section.time or ""
+        return join_files(timed_files(found, time, where, scale), time)
+    return found[0] if test is None else found[0].part(*test, where)
 
 
 def reading_of(section: ExperimentSection) -> Reading:
@@ -264,7 +271,7 @@ def _read(
         return None, np.zeros(0)
     table = _table(section, config, base, tables, where)
     missing = tuple(section.missing)
-    columns = MeasuredColumns(table, where, section.rows, _changes(section), missing)
+    columns = MeasuredColumns(table, where, section.rows, _changes(section, table), missing)
     of_signals = (section.outputs, section.inputs, section.signals)
     named = [each.column for given in of_signals for each in given.values()]
     if not named:
@@ -417,119 +424,4 @@ def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
     raise ConfigError(
         f"{where}: there is no file {name!r}; looked for {', '.join(dict.fromkeys(tried))}; "
         "check the name, or add its folder to data_folders"
-    )
-
-
-ROUNDING_OF_TIMES = 16.0 * float(np.finfo(float).eps)
-"""Largest relative difference of times that count as equal."""
-
-
-def compared_at(
-    outputs: Sequence[Output],
-    interpolations: Sequence[Interpolation],
-    time_base: TimeBase,
-    simulated: FloatArray,
-) -> tuple[Output, ...]:
-    """Convert outputs to a time base.
-
-    Parameters
-    ----------
-    outputs
-        The outputs as measured.
-    interpolations
-        Interpolation of each output between its samples.
-    time_base
-        "measured": each at its own times. "union": each at the times of all outputs. "simulated":
-        each at `simulated`. "both": at the union of those. An output counts only from its first to
-        its last sample.
-    simulated : (n,)
-        Times of the simulated time base.
-    """
-    if time_base == "measured":
-        return tuple(outputs)
-    union = np.unique(np.concatenate([np.zeros(0), *(output.times for output in outputs)]))
-    simulated = snapped(simulated, union)
-    wanted = {"union": union, "simulated": simulated, "both": np.union1d(union, simulated)}[
-        time_base
-    ]
-    pairs = zip(outputs, interpolations, strict=True)
-    return tuple(_at(output, how, wanted) for output, how in pairs)
-
-
-def snapped(times: FloatArray, onto: FloatArray) -> FloatArray:
-    """Replace times that differ from times in `onto` only by rounding.
-
-    Otherwise a sample would count twice, or a held value would take effect only at the next time.
-    """
-    if not len(onto):
-        return times
-    after = np.minimum(np.searchsorted(onto, times), len(onto) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(times - onto[before]) < np.abs(times - onto[after])
-    closest = np.where(nearer, onto[before], onto[after])
-    rounding = ROUNDING_OF_TIMES * np.max(np.abs(onto))
-    return np.where(np.abs(times - closest) <= rounding, closest, times)
-
-
-def snapped_bound(bound: SignalBound, onto: FloatArray) -> SignalBound:
-    """Replace the times of a bound that differ from measured times only by rounding.
-
-    If two times coincide, the tighter limits apply. If these contradict each other because the
-    limits jump, the later limits apply.
-    """
-    times = snapped(bound.times, onto)
-    first = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0.0)
-    last = np.append(first[1:], len(times)) - 1
-    lower = np.maximum.reduceat(bound.lower, first)
-    upper = np.minimum.reduceat(bound.upper, first)
-    fits = lower <= upper
-    return replace(
-        bound,
-        times=times[first],
-        lower=np.where(fits, lower, bound.lower[last]),
-        upper=np.where(fits, upper, bound.upper[last]),
-    )
-
-
-def _at(output: Output, interpolation: Interpolation, wanted: FloatArray) -> Output:
-    times = output.times
-    if not len(times):
-        return output
-    inside = wanted[(wanted >= times[0]) & (wanted <= times[-1])]
-    if interpolation == "hold":
-        values = output.values[np.searchsorted(times, inside, side="right") - 1]
-    else:
-        values = np.interp(inside, times, output.values)
-    return replace(output, times=inside, values=values)
-
-
-def counted(
-    output: Output, first: float, last: float, windows: Sequence[tuple[float, float]]
-) -> Output:
-    """Return the samples of an output from first to last and, if there are windows, in windows."""
-    keep = (output.times >= first) & (output.times <= last)
-    if windows:
-        keep &= within(output.times, windows)
-    return replace(output, times=output.times[keep], values=output.values[keep])
-
-
-def weighted(output: Output, normalise: Normalise, weight: float) -> Output:
-    """Return an output with its weight in the sum of squares.
-
-    Its residuals are divided by sigma, or by the measured signal's largest absolute value or range,
-    and multiplied by the square root of the weight. A signal's size, or a weight without a sigma,
-    says nothing about the noise.
-    """
-    size, relative = output.sigma, output.relative_sigma
-    if normalise != "sigma" and len(output.values):
-        values = output.values
-        size = float(np.ptp(values) if normalise == "range" else np.max(np.abs(values)))
-        relative = 0.0
-    root = float(np.sqrt(weight))
-    only_weight = normalise != "sigma" or (weight != 1.0 and not output.has_sigma)
-    return replace(
-        output,
-        sigma=(size or 1.0) / root,
-        relative_sigma=relative / root,
-        sigma_known=output.sigma_known and not only_weight,
     )

@@ -175,6 +175,13 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
             yield f"{where}.data is missing; add it (path of the table, such as a csv file)"
     elif timed and len(given) != 1:
         yield missing_time(where, experiment.time, experiment.sample_time)
+    elif isinstance(experiment.data, list) and len(experiment.data) > 1:
+        for key in ("sample_time", "rows", "split_by"):
+            if getattr(experiment, key) is not None:
+                yield (
+                    f"{where}.{key}: must not be used if data names several files, which need a "
+                    "column with the time; remove it"
+                )
     if not timed and (experiment.start is None or experiment.stop is None):
         yield (
             f"{where}: an experiment without measured times must have start and stop (in seconds), "

@@ -46,7 +46,7 @@ def with_every_experiment(raw: Mapping[str, Any], base: Path) -> dict[str, Any]:
     folders = raw.get("data_folders", [])
     folders = folders if isinstance(folders, list) else []
     files: list[Section] = []
-    named = [_data(own, {}) for own in given]
+    named = [name for own in given for name in _names(own, {})]
     for own in given:
         files += _of_files(own, defaults, base, folders, named)
     tests: list[Section] = []
@@ -55,17 +55,29 @@ def with_every_experiment(raw: Mapping[str, Any], base: Path) -> dict[str, Any]:
     return {**raw, "experiments": tests}
 
 
-def _data(own: Any, defaults: Mapping[str, Any]) -> str:
-    """Return the path of an experiment's table; "" if it has none."""
+def _names(own: Any, defaults: Mapping[str, Any]) -> list[str]:
+    """Return the paths of an experiment's table or tables."""
     if not isinstance(own, dict):
-        return ""
+        return []
     data = own.get("data", defaults.get("data", ""))
-    return data if isinstance(data, str) else ""
+    return [each for each in (data if isinstance(data, list) else [data]) if isinstance(each, str)]
+
+
+def _data(own: Any, defaults: Mapping[str, Any]) -> str:
+    """Return the path of an experiment's only table; "" if it has none or several."""
+    names = _names(own, defaults)
+    return names[0] if len(names) == 1 else ""
 
 
 def _of_files(
     own: Any, defaults: Section, base: Path, folders: list[Any], named: list[str]
 ) -> Iterator[Any]:
+    names = _names(own, defaults)
+    if isinstance(own, dict) and isinstance(own.get("data", defaults.get("data")), list):
+        if any("*" in name for name in names):  # all matching files are those of one test
+            own = own | {"data": [*_joined(own, names, base, folders)]}
+        yield own
+        return
     data = _data(own, defaults)
     if "*" not in data or next(_found(data, base, folders, whole=True), None) is not None:
         yield own
@@ -73,6 +85,24 @@ def _of_files(
     others = {
         path.resolve() for each in named if each != data for path in _named(each, base, folders)
     }
+    for path in _matching(own, data, base, folders, others):
+        yield own | {"data": _relative(path, base), "id": _id(own, path.stem)}
+
+
+def _joined(own: Section, names: list[str], base: Path, folders: list[Any]) -> Iterator[str]:
+    """Yield the files of one test, in place of patterns for them."""
+    for name in names:
+        if "*" not in name or next(_found(name, base, folders, whole=True), None) is not None:
+            yield name
+        else:
+            paths = _matching(own, name, base, folders, set())
+            yield from (_relative(path, base) for path in paths)
+
+
+def _matching(
+    own: Section, data: str, base: Path, folders: list[Any], others: set[Path]
+) -> list[Path]:
+    """Return the files of a pattern, without others."""
     paths = sorted(set(_found(data, base, folders)), key=_in_order)
     paths = [path for path in paths if path.resolve() not in others]
     if not paths:
@@ -80,9 +110,11 @@ def _of_files(
             f"experiment {own.get('id', '')!r}.data: no file matches {data!r}; check the pattern, "
             "or add its folder to data_folders"
         )
-    for path in paths:
-        name = os.path.relpath(path, base).replace(os.sep, "/")
-        yield own | {"data": name, "id": _id(own, path.stem)}
+    return paths
+
+
+def _relative(path: Path, base: Path) -> str:
+    return os.path.relpath(path, base).replace(os.sep, "/")
 
 
 def _named(data: str, base: Path, folders: list[Any]) -> Iterator[Path]:

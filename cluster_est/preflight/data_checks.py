@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.config.sections import Config
+from cluster_est.preflight.column_matches import has_unit
 from cluster_est.preflight.subject import CheckFinding, fault, listed, note, passed
-from cluster_est.preflight.table_columns import has_unit
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.sigmas import mixed_sigmas
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import (
     LEAST_NOISE_OF_RANGE,
@@ -53,6 +54,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
         *_sparse(problem, description),
         *_jumping(problem, description),
         *_rounded(problem),
+        *(note("sigma", said, do) for said, do in mixed_sigmas(problem.experiments)),
         *_outlying(problem),
     ]
 

@@ -9,16 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cluster_est.errors import DataError, ModelError
+from cluster_est.preflight.column_matches import ColumnMatch, has_unit, match, same
 from cluster_est.preflight.draft_sources import DraftSource, KnownParameter, sources
+from cluster_est.preflight.files_of_tests import with_joined_files
 from cluster_est.preflight.table_column import TableColumn
-from cluster_est.preflight.table_columns import (
-    ColumnMatch,
-    TableColumns,
-    has_unit,
-    match,
-    read_columns,
-    same,
-)
+from cluster_est.preflight.table_columns import TableColumns, read_columns
 from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS, Reading
 from cluster_est.problem.tables.units import conversion, split_unit
 from workers.fmu.description import ModelDescription, describe, nearest
@@ -140,6 +135,7 @@ class ConfigDraft:
     states: tuple[ModelVariable, ...]
     runs: tuple[DraftExperiment, ...]
     values: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def draft(
@@ -184,7 +180,9 @@ def draft(
     check_variables(known, description)
     found = sources(fmu, data, Reading() if reading is None else reading)
     known = {n: c for n, c in found.mapping.items() if n in description.variables} | {**known}
-    tables = _alike(_tables(found.tables, known.get(TIME_NAME, ""), missing))
+    read = _tables(found.tables, known.get(TIME_NAME, ""), missing)
+    joined, notes = with_joined_files(read, missing)
+    tables = _alike(joined)
     check_columns(known, [columns for _, columns in tables])
     held_out = len(tables) - 1 if len(tables) > 1 else -1
     runs: list[DraftExperiment] = []
@@ -203,6 +201,7 @@ def draft(
         tuple(initial_states(description)),
         tuple(runs),
         {n: each.start for n, each in given.items() if not each.estimate},
+        notes,
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import median
 
 from cluster_est.config.config_text import FILL_IN
+from cluster_est.preflight.column_matches import ColumnMatch
 from cluster_est.preflight.draft import (
     MOST_LISTED_VARIABLES,
     ConfigDraft,
@@ -16,7 +17,6 @@ from cluster_est.preflight.draft import (
     ParameterCandidate,
 )
 from cluster_est.preflight.table_column import TableColumn, fold
-from cluster_est.preflight.table_columns import ColumnMatch
 from cluster_est.preflight.table_times import DAYS_OR_SECONDS, TIME_COLUMN_NAMES
 from cluster_est.problem.tables.stand_ins import written
 from cluster_est.problem.tables.units import conversion, same_unit, split_unit
@@ -145,13 +145,23 @@ def experiments(
         yield ""
         yield "[[experiments]]"
         yield f"id = {inline(run.id)}"
-        yield f"data = {inline(relative(run.columns.path, folder))}"
+        yield from _data(run, folder)
         if run.role == "test":
             yield 'role = "test"  # held out: its errors are reported, but it is never fitted'
         if run.test is not None and run.test[1]:
             yield f"split_value = {inline(run.test[1])}"
         yield from run.lines
         yield from body
+
+
+def _data(run: DraftExperiment, folder: Path) -> Iterator[str]:
+    """Yield the path of an experiment's table, or those of the files of one test."""
+    files = run.columns.files
+    if not files:
+        yield f"data = {inline(relative(run.columns.path, folder))}"
+        return
+    yield "# Files of one test, by their names, columns and times: each channel has its own times."
+    yield f"data = {inline([relative(path, folder) for path in files])}"
 
 
 def _shared(bodies: Sequence[Sequence[str]]) -> list[str]:
@@ -232,6 +242,8 @@ def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> It
 
 def _time(run: DraftExperiment) -> Iterator[str]:
     time = run.columns.time
+    if run.columns.refusal:
+        yield f"# check and fit refuse these times: {run.columns.refusal}"
     if time is not None:
         yield f"time = {inline(time.name)}"
         return

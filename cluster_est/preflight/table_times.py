@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +16,8 @@ from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Und
 from cluster_est.problem.tables.time_stamps import Stamps, read_stamps
 from cluster_est.problem.tables.times import JOINT, read_times
 from cluster_est.problem.tables.units import conversion, split_unit
-from workers.messages import FloatArray
+from workers.messages import FloatArray, IntArray
+from workers.messages.signals import check_times
 
 TIME_COLUMN_NAMES = (
     "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
@@ -232,6 +234,25 @@ def _stamps(table: MeasuredTable, name: str) -> Stamps | None:
         return None
     found: Stamps | None = table.stamps[name]
     return found
+
+
+def refusal(found: FoundTime, table: MeasuredTable, names: Sequence[str]) -> str:
+    """Return why check and fit refuse the times of a table's columns; "" if they do not."""
+    own = [name for name in names if name in table.signals or name in table.clocks]
+    for name in own if table.signals else ("", *own):
+        seconds = found.times_of(table, name) if name else found.seconds
+        known = np.flatnonzero(np.isfinite(seconds)) if name else np.arange(len(seconds))
+        places = partial(_place, table, name, known)
+        where = f"column {table.clocks.get(name, found.column.name)!r}"
+        try:
+            check_times(seconds[known], where, places, of_rows=not name)
+        except DataError as error:
+            return str(error)
+    return ""
+
+
+def _place(table: MeasuredTable, name: str, rows: IntArray, i: int) -> str:
+    return f"row {table.row(int(rows[i]), name)}"
 
 
 def find_tests(table: MeasuredTable, time: FoundTime | None) -> str:

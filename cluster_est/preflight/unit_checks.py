@@ -21,7 +21,7 @@ from cluster_est.preflight.subject import (
     unanswered,
 )
 from cluster_est.preflight.table_column import split_suffix
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 from cluster_est.problem.tables.units import (
     UnitConversion,
     conversion,
@@ -47,14 +47,16 @@ def unit_findings(
 
     The unit is in the name, in a row below the header, or in the metadata of a channel. Each column
     is reported once for all experiments. Columns with an entry under `columns` in the config, or
-    with an unknown unit, are omitted.
+    with an unknown unit, are omitted, and so are times since 1970, whose unit is found by their
+    size.
     """
+    dated = {each.experiment for each in tables if each.dated}
     said = {(each.experiment, name): unit for each in tables for name, unit in each.units}
     pairs = dict.fromkeys(
         (*pair, said.get((experiment.id, pair[1] or ""), ""))
         for experiment in config.experiments
         for pair in [
-            ("time", experiment.time),
+            ("time", "" if experiment.id in dated else experiment.time),
             *((name, each.column) for name, each in experiment.inputs.items()),
             *((name, each.column) for name, each in experiment.outputs.items()),
         ]

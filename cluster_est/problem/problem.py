@@ -14,15 +14,17 @@ from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.given_cost import as_cost
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.sigmas import mixed_sigmas
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import jump_findings
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 from cluster_est.problem.tables.sparse_inputs import sparse_inputs
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
 from cluster_est.problem.variables import (
     check_effects,
     check_experiment,
     check_interface,
+    check_names,
     check_parameters,
     check_signals,
     coefficient_names,
@@ -73,6 +75,8 @@ class Problem:
     ------
     ProblemError
         If names repeat, or experiments and parameters contradict each other.
+    ModelError
+        If the FMU has no variable of a name.
     """
 
     model: Model
@@ -102,6 +106,8 @@ class Problem:
                 f"effects, in the order {[*self.model.parameters, *names]}, but are {targets}; "
                 "reorder them"
             )
+        named = [p for p in self.parameters if not p.auxiliary]
+        check_names(self.model, named[: len(self.model.parameters)], self.experiments)
         self.derived  # noqa: B018 - raises errors immediately
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
@@ -218,9 +224,9 @@ class Problem:
         return communication_notes(self.model, self.describe(), self.experiments)
 
     def data_notes(self) -> tuple[str, ...]:
-        """Return notes on numbers that are probably not measurements, and on gaps in records."""
+        """Return notes on numbers that are probably not measurements, on gaps, and on sigmas."""
         gaps = [(said, do) for said, do, _ in gap_findings(self.gaps)]
-        found = [*gaps, *self.data_findings]
+        found = [*gaps, *self.data_findings, *mixed_sigmas(self.experiments)]
         return tuple(f"{said}: {do}" if do else said for said, do in found)
 
     @property

@@ -6,12 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from cluster_est.errors import ModelError, ProblemError
 from cluster_est.problem.parameter import Parameter
 from cluster_est.toml import dotted
-from workers.fmu.description import ModelDescription, nearest
+from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Effect, Experiment, Model, Value
 from workers.messages.checks import shown
@@ -34,6 +35,42 @@ def coefficient_names(effect: Effect) -> list[str]:
     from workers.effects.definition import coefficients  # SymPy takes long to import
 
     return [c.name for c in coefficients(effect, f"effect {effect.name!r}")]
+
+
+@lru_cache(maxsize=2)
+def _description_of(model_key: tuple[str, bytes, tuple[tuple[str, int], ...]]) -> ModelDescription:
+    """Return the description of an FMU, which is parsed once for many problems."""
+    name, archive, structure = model_key
+    return describe(name, archive, dict(structure))
+
+
+def check_names(
+    model: Model, parameters: Sequence[Parameter], experiments: Sequence[Experiment]
+) -> None:
+    """Check only that the FMU has the variables with these names, as soon as a problem is made.
+
+    An FMU that cannot be read is reported when the problem is used.
+
+    Raises
+    ------
+    ModelError
+        With the nearest name.
+    """
+    try:
+        description = _description_of((model.name, model.archive, model.structure))
+    except ModelError:
+        return
+    for parameter in parameters:
+        description.variable(parameter.target, dotted("parameters", parameter.name))
+    for experiment in experiments:
+        where = f"experiment {experiment.id!r}"
+        for key, names in (
+            ("values", [name for name, _ in experiment.values]),
+            ("inputs", [given.variable for given in experiment.inputs]),
+            ("outputs", experiment.recorded),
+        ):
+            for name in names:
+                description.variable(name, f"{where}.{key}")
 
 
 def check_interface(model: Model, description: ModelDescription) -> None:

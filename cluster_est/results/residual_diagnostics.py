@@ -10,6 +10,7 @@ from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.sigmas import guessed_outputs
 from cluster_est.results.observation import lack_normal_law
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.statistics.projection import OrthogonalProjection
@@ -93,8 +94,8 @@ def _innovations(space: SearchSpace, solution: Solution) -> FloatArray:
 def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
     """Return whether each output has a declared sigma.
 
-    Sigmas do not count if all are 1. A sigma as large as the signal, as for a normalised output,
-    does not count either.
+    Sigmas do not count if all are 1, and those of an output do not if one of them is a guess. A
+    sigma as large as the signal, as for a normalised output, does not count either.
     """
     outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
     if not any(output.has_sigma for output in outputs):
@@ -103,7 +104,8 @@ def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
     for output in outputs:
         if len(output.values) and output.sigma < np.std(output.values):
             found[output.variable] = True
-    return tuple(found.values())
+    guessed = guessed_outputs(outputs)
+    return tuple(found[name] and name not in guessed for name in found)
 
 
 def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -> tuple[bool, ...]:

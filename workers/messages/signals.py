@@ -131,7 +131,7 @@ def check_times(
         how = "repeats" if times[i] == times[i - 1] else "goes back from"
         raise DataError(
             f"{where}, {place(i)}: times must increase, but {times[i]:.9g} {how} "
-            f"{times[i - 1]:.9g} in the row before; {_remedy(times, of_rows)}"
+            f"{times[i - 1]:.9g} in the row before; {_remedy(times, place, of_rows)}"
         )
 
 
@@ -143,9 +143,14 @@ ROWS_APART = 0.75
 """Least step of sorted rows, in their least step before, if no part is sorted into another."""
 LONG_STEP = 5.0
 """Length of a step, in usual steps, above which rows may be missing."""
+MOST_WRONG = 1000
+"""Largest number of successive rows whose times alone may be wrong."""
+EVEN_PACE = 0.25
+"""Relative error of the time that passes over such rows. If one row were there twice, or in a wrong
+place, one step instead of two would pass over it, an error of a half."""
 
 
-def _remedy(times: FloatArray, of_rows: bool) -> str:
+def _remedy(times: FloatArray, place: Callable[[int], str], of_rows: bool) -> str:
     """Return advice for times that do not increase."""
     steps = np.diff(times)
     if np.mean(steps == 0.0) > COARSE:
@@ -159,15 +164,49 @@ def _remedy(times: FloatArray, of_rows: bool) -> str:
     back = np.flatnonzero(steps < 0.0)
     if not len(back):
         return "remove the repeated rows"
+    usual = float(np.median(steps))
+    wrong = _wrong_times(times, back, usual)
+    if wrong:
+        many = f" (and of {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
+        return (
+            f"the other times fit together without it, so the time of {place(wrong[0])}{many} is "
+            f"wrong, {times[wrong[0]]:.9g}: correct it, or remove the row"
+        )
     runs = np.split(times, back + 1)
     once = np.sort(times[np.r_[True, steps != 0.0]])
     mixed = np.diff(once).min() < ROWS_APART * steps[steps > 0.0].min()
     if not mixed or len(runs) * ROWS_IN_ORDER > len(times):
         return "sort the rows and remove repeated ones"
-    usual = float(np.median(steps))
     if all(abs(float(run[0]) - float(times[0])) <= 2.0 * usual for run in runs):
         return _of_tests(of_rows)
     return _of_clock(steps, usual - float(steps[back[0]]), of_rows)
+
+
+def _wrong_times(times: FloatArray, back: IntArray, usual: float) -> list[int]:
+    """Return the rows whose times are wrong, if without them every step back is gone.
+
+    Over these rows, about as much time must pass as over other rows. It does not if a clock was set
+    back, or if another test begins. A single first or last row cannot be a test either.
+    """
+    found: list[int] = []
+    for i in (back + 1).tolist():
+        later = times[i + 1 : i + 1 + MOST_WRONG] > times[i - 1]
+        earlier = times[max(i - 1 - MOST_WRONG, 0) : i - 1][::-1] < times[i]
+        ends = [(i - 1, i + 1 + int(np.argmax(later)))] if later.any() else []
+        ends += [(i - 2 - int(np.argmax(earlier)), i)] if earlier.any() else []
+        rows = [
+            range(first + 1, last)
+            for first, last in ends
+            if abs(times[last] - times[first] - (last - first) * usual)
+            <= EVEN_PACE * (last - first) * usual
+        ]
+        rows += [range(1)] if i == 1 else []
+        rows += [range(i, i + 1)] if i == len(times) - 1 else []
+        if not rows:
+            return []
+        shortest: range = min(rows, key=len)
+        found += shortest
+    return sorted(set(found))
 
 
 def _of_tests(of_rows: bool) -> str:

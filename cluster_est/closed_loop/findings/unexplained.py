@@ -11,7 +11,7 @@ from scipy.signal import welch
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import SHORTEST_SPECTRUM
 from cluster_est.problem.display import plain_number, readable_time
-from cluster_est.problem.tables.measured import UnusedColumns
+from cluster_est.problem.tables.sources import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
 from cluster_est.statistics.dependence import dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord

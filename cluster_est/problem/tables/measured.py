@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.files import read_table
-from cluster_est.problem.tables.gaps import STEPS_OF_GAP, RecordGap
-from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
-from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
+from cluster_est.problem.tables.gaps import STEPS_OF_GAP
+from cluster_est.problem.tables.measured_table import MeasuredTable
+from cluster_est.problem.tables.stand_ins import is_missing
 from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
 from cluster_est.problem.tables.units import column_unit
 from workers.fmu.description import nearest
@@ -204,7 +202,7 @@ class MeasuredColumns:
             table, source, rows, self.where, factor=factor, offset=offset, since=first
         ).seconds
         known = np.flatnonzero(np.isfinite(found)) if clock.own else np.arange(len(found))
-        where = f"{self.where}: {table.path}, times of column {name!r}"
+        where = f"{self.where}: {table.source(name)}, times of column {name!r}"
         check_times(found[known], where, lambda i: f"row {table.row(int(known[i]), resolved)}")
         return found
 
@@ -296,7 +294,7 @@ class MeasuredColumns:
 
     def _values(self, times: FloatArray, name: str, key: str) -> FloatArray:
         values = self.column(name)
-        column = f"column {name!r} of {self.table.path}"
+        column = f"column {name!r} of {self.table.source(name)}"
         check_length(values, times, f"{self.where}.{key}: {column}")
         if np.isnan(values).all():
             raise DataError(
@@ -306,7 +304,8 @@ class MeasuredColumns:
         infinite = np.flatnonzero(np.isinf(values))
         if len(infinite):
             i = int(infinite[0])
-            where = f"{self.where}: {self.table.path}, column {name!r}, row {self._row(i)}"
+            where = f"{self.where}: {self.table.source(name)}, column {name!r}"
+            where += f", row {self._row(i, name)}"
             raise refuse_value(float(values[i]), where, "leave it empty")
         return values
 
@@ -316,15 +315,15 @@ class MeasuredColumns:
         without = np.flatnonzero(known & ~np.isfinite(times))
         if len(without):
             raise DataError(
-                f"{self.where}: {self.table.path}, column {name!r}, row "
+                f"{self.where}: {self.table.source(name)}, column {name!r}, row "
                 f"{self.table.row(int(without[0]), name)}: must have a time for each value, but "
                 "has none; correct that row"
             )
         return known
 
-    def _row(self, used: int) -> int:
+    def _row(self, used: int, column: str = "") -> int:
         """Return the row number in the file of a used row."""
-        return self.table.row((self.rows[0] if self.rows else 0) + used)
+        return self.table.row((self.rows[0] if self.rows else 0) + used, column)
 
 
 def interval(
@@ -409,118 +408,3 @@ def relative_without_sigma(where: str, name: str) -> str:
         f"{where}.relative_sigma.{name}: must be given together with sigma.{name}, the noise at a "
         f"signal of 0, but sigma.{name} is missing; add it"
     )
-
-
-@dataclass(frozen=True)
-class TableSource:
-    """The table of an experiment, and its used part.
-
-    Attributes
-    ----------
-    experiment
-        Id of the experiment.
-    path, rows
-        Path of the file, and the used rows (from, to); None for all rows.
-    time, sample_time
-        Column with the times, or seconds between rows.
-    used
-        Columns that the experiment uses, including the time.
-    named
-        (config key, column) of each signal, such as ("outputs.y", "position").
-    missing
-        Numbers that mark missing measurements.
-    stand_ins
-        Numbers in the used columns that probably mark missing measurements.
-    reading
-        The options for reading the file.
-    test
-        The column that distinguishes tests, and its value for this test; None if the file has one
-        test.
-    notes
-        Sentences on how the file was read.
-    units
-        (column, unit) for units that the file gives with the names.
-    gaps
-        Gaps in the outputs.
-    clocks
-        (config key, column) of each input with its own times, such as ("inputs.u.time", "t_u").
-    signal_units
-        (signal, unit), from `MeasuredColumns.unit`.
-    switches
-        Columns of inputs with words such as "on", or with truth values, that are used unchanged.
-    """
-
-    experiment: str
-    path: Path
-    time: str | None
-    sample_time: float | None
-    rows: tuple[int, int] | None
-    used: tuple[str, ...]
-    named: tuple[tuple[str, str], ...] = ()
-    missing: tuple[float, ...] = ()
-    stand_ins: tuple[FoundStandIn, ...] = ()
-    reading: Reading = field(default_factory=Reading)
-    test: tuple[str, str] | None = None
-    notes: tuple[str, ...] = ()
-    units: tuple[tuple[str, str], ...] = ()
-    gaps: tuple[RecordGap, ...] = ()
-    clocks: tuple[tuple[str, str], ...] = ()
-    signal_units: tuple[tuple[str, str], ...] = ()
-    switches: tuple[str, ...] = ()
-
-    def unused(self) -> UnusedColumns:
-        """Read the file again, and return its unused columns.
-
-        The result is empty if the file cannot be read any more, or if its times are not known.
-        """
-        try:
-            table = read_table(self.path, reading=self.reading)
-            table = table if self.test is None else table.part(*self.test, self.experiment)
-            reader = MeasuredColumns(table, self.experiment, self.rows, missing=self.missing)
-            times = reader.times(self.time, self.sample_time, self.used[-1])
-        except DataError:
-            return UnusedColumns(np.zeros(0), {})
-        found = {}
-        for name in reader.table.columns:
-            if name in self.used or name in reader.table.clocks.values():
-                continue
-            try:
-                values = reader.column(name)
-            except DataError:  # the column has no numbers
-                continue
-            if len(values) == len(times):
-                found[name] = values
-        return UnusedColumns(times, found)
-
-
-@dataclass(frozen=True)
-class UnusedColumns:
-    """Numeric columns that an experiment does not use.
-
-    Attributes
-    ----------
-    times : (n,)
-    values
-        Values by column name, each (n,); NaN for missing measurements.
-    """
-
-    times: FloatArray
-    values: Mapping[str, FloatArray]
-
-    def at(self, name: str, times: FloatArray) -> FloatArray | None:
-        """Return a column at other times, with linear interpolation.
-
-        None if the column is constant, has numbers in fewer than half of its rows, or does not
-        cover these times.
-        """
-        values = self.values[name]
-        known = np.isfinite(values)
-        if 2 * np.count_nonzero(known) < len(values) or not len(times):
-            return None
-        when, there = self.times[known], values[known]
-        if len(when) < 2 or np.ptp(there) == 0.0:
-            return None
-        step = float(np.median(np.diff(when)))
-        if times[0] < when[0] - step or times[-1] > when[-1] + step:
-            return None
-        return np.asarray(np.interp(times, when, there))

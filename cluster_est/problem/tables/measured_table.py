@@ -96,6 +96,10 @@ class MeasuredTable:
     long_values, signals
         For a table with a row for each value: the column of the values, and the rows of each
         signal.
+    files
+        For each column of a test in several files, the table of its file and its name there.
+    dated
+        Whether the times of several files were counted from a date.
     parsed
         Numeric columns that were already parsed, with all rows.
     stamps
@@ -115,6 +119,8 @@ class MeasuredTable:
     rows: npt.NDArray[np.int64] | None = field(default=None, repr=False)
     long_values: str = ""
     signals: Mapping[str, npt.NDArray[np.int64]] = field(default_factory=dict, repr=False)
+    files: Mapping[str, tuple[MeasuredTable, str]] = field(default_factory=dict, repr=False)
+    dated: bool = False
     parsed: dict[str, FloatArray] = field(default_factory=dict, repr=False, compare=False)
     stamps: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
@@ -126,6 +132,9 @@ class MeasuredTable:
         DataError
             If there is no such column, or a cell is not a number.
         """
+        table, own = self.files.get(self.resolved(name), (self, name))
+        if table is not self:
+            return table.numbers(own, where)
         rows = self.rows_of(name)
         if rows is not None:
             return self.all_numbers(name, where)[rows]
@@ -174,7 +183,8 @@ class MeasuredTable:
         if "*" not in name or name in self.columns or name in self.unusable:
             return name
         start, *middle, end = name.split("*")
-        fitting = [each for each in self.columns if _fits(each, start, middle, end)]
+        names = self.files or self.columns
+        fitting = [each for each in names if _fits(each, start, middle, end)]
         if len(fitting) > 1 and where:
             listed = ", ".join(repr(each) for each in fitting[:MOST_NAMED_COLUMNS])
             raise DataError(
@@ -219,8 +229,15 @@ class MeasuredTable:
 
     def row(self, index: int, column: str = "") -> int:
         """Return the line number of a value of a column, as in an editor."""
+        table, own = self.files.get(self.resolved(column), (self, column))
+        if table is not self:
+            return table.row(index, own)
         rows = self.rows_of(column)
         return self.line(index if rows is None else int(rows[index]))
+
+    def source(self, column: str) -> Path | str:
+        """Return the path of the file that has a column."""
+        return self.files.get(self.resolved(column), (self, ""))[0].path
 
     def line(self, index: int) -> int:
         """Return the line number of a row, counted over all rows of the file."""

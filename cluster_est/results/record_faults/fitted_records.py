@@ -12,6 +12,7 @@ from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.sigmas import declares_sigma
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
@@ -86,13 +87,13 @@ class FittedRecords:
         return self.noise(self.residuals, self.runs)
 
     def noise(self, residuals: FloatArray, runs: Sequence[Experiment]) -> FloatArray:
-        """Return the noise of each output in units of sigma; at least 1 if a sigma is given."""
+        """Return the noise of each output in units of sigma; at least 1 if its sigma is known."""
         outputs = [output for run in runs for output in run.outputs]
         measured = np.concatenate([o.values / o.sigmas for o in outputs])
         records = make_records(runs)
         found = np.nan_to_num(estimate_noise(residuals, records, measured))
-        given = {o.variable for o in outputs if o.has_sigma}
-        least = [1.0 if name in given else 1e-300 for name in records.outputs]
+        own = ([o for o in outputs if o.variable == name] for name in records.outputs)
+        least = [1.0 if declares_sigma(each) else 1e-300 for each in own]
         return np.maximum(found, least)
 
     def levels(

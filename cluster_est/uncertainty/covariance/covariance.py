@@ -32,6 +32,7 @@ from cluster_est.uncertainty.covariance.local_uncertainty import (
     joined,
 )
 from cluster_est.uncertainty.covariance.noise_covariance import (
+    EstimateCovariance,
     NoiseBasis,
     coloured_covariances,
     most_honest,
@@ -53,6 +54,9 @@ from cluster_est.uncertainty.covariance.system import (
     factorised_jacobian,
 )
 from workers.messages import FloatArray
+
+WIDE = 1.5
+"""Width of an interval, over its width with many samples, above which the reason is given."""
 
 
 def intervals(space: SearchSpace, solution: Solution) -> list[ConfidenceInterval]:
@@ -164,7 +168,11 @@ def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncert
         directions=directions(space, x, system),
         variance=system.scatter.variance,
         degrees=system.scatter.degrees,
-        notes=(*_notes(layout, system), *_noise_notes(layout, system, errors, chosen.basis)),
+        notes=(
+            *_notes(layout, system),
+            *_noise_notes(layout, system, errors, chosen.basis),
+            *_wide_notes(system, chosen, width),
+        ),
         basis=chosen.basis,
         basis_degrees=chosen.degrees,
     )
@@ -278,6 +286,24 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
             "these constraints"
         )
     return tuple(notes)
+
+
+def _wide_notes(
+    system: ScaledJacobian, chosen: EstimateCovariance, width: float
+) -> tuple[str, ...]:
+    """Return a note if few residuals remain to estimate the noise, so that intervals are wide."""
+    wider = width / float(stdtrit(np.inf, 0.975))
+    if not wider >= WIDE:
+        return ()
+    count, rank = len(system.weighting.factor), system.factors.rank
+    correlated = chosen.basis is NoiseBasis.AUTOREGRESSION
+    return (
+        f"the intervals are {wider:.2g} times as wide as with many samples, because few samples "
+        f"show how large the noise is: {count} {'autocorrelated ' if correlated else ''}residuals "
+        f"determine {rank} values, which leaves {chosen.degrees:.2g} degree"
+        f"{'' if chosen.degrees == 1 else 's'} of freedom; more samples make the intervals "
+        "narrower",
+    )
 
 
 def _noise_notes(

@@ -26,7 +26,7 @@ from support.truth.systems_with_missing_effects import missing_effect_problem
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 
 
 def settings(site: str, *forms: str, **more) -> ce.LoopSettings:

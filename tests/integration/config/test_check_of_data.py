@@ -10,7 +10,7 @@ from support.problems.springs import ROOT, spring_problem
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.preflight.all_checks import run_checks
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 from workers.process.trial import BenchHere
 
 MODELS = ROOT / "configs" / "models"

@@ -408,15 +408,32 @@ def test_temperatures_are_not_the_times_of_other_columns(written, tmp_path):
             "row 9: .*remove the repeated rows; check and",
         ),
         (np.floor(10.0 * TIMES), "row 3: .*give sample_time.*; check and fit refuse the table"),
+        (
+            np.where(np.arange(len(TIMES)) < 30, TIMES, TIMES - 0.255),
+            "row 32: .*the clock was set back by about 0.255 s.*; check and fit refuse the table",
+        ),
         (TIMES, ""),
     ],
 )
-def test_repeated_times_are_named(written, tmp_path, times, said):
-    _, _, printed = written(table(tmp_path / "a.csv", time=times, F=FORCE, y=FORCE))
+def test_times_that_check_refuses_are_named(written, tmp_path, times, said):
+    text, _, printed = written(table(tmp_path / "a.csv", time=times, F=FORCE, y=FORCE))
     if said:
         assert re.search(f"a.csv: column 'time', {said}", printed)
+        named = f"# check and fit refuse these times: column 'time', {said.partition('; check')[0]}"
+        assert re.search(f'{named}.*\ntime = "time"', text)
+    assert ("refuse these times" in text) is bool(said)
     assert ("times must increase" in printed) is bool(said)
     assert main(CHECK) == (2 if said else 0)
+
+
+def test_wrong_times_of_one_signal_of_a_long_table_are_named(written, tmp_path):
+    times = np.r_[TIMES, np.where(np.arange(50) == 20, 0.1, TIMES)]
+    names = np.repeat(["F", "y"], 50)
+    data = table(tmp_path / "a.csv", time=times, signal=names, value=np.tile(FORCE, 2))
+    text, _, printed = written(data)
+    assert "the time of row 72 is wrong, 0.1: correct it" in printed
+    assert "# check and fit refuse these times: column 'time', row 72" in text
+    assert main(CHECK) == 2
 
 
 def test_an_input_that_is_on_or_off_needs_its_value(written, tmp_path, capsys):

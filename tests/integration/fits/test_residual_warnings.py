@@ -84,6 +84,20 @@ def test_a_guessed_sigma_is_no_claim(clean):
         assert found.notes == ()
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sigma_known_in_one_experiment_does_not_make_a_guess_known(clean, known):
+    """The guess of the second experiment is ten times too small."""
+    one, other = declared(clean, 0.002).experiments[0], declared(clean, 0.0002).experiments[0]
+    outputs = tuple(replace(each, sigma_known=known) for each in other.outputs)
+    both = (one, replace(other, id="other", outputs=outputs))
+    found = ce.fit(replace(clean, experiments=both))
+    assert found.diagnostics is not None
+    assert found.diagnostics.outputs[0].declared == known
+    mixed = [note for note in found.notes if "is known in experiment" in note]
+    assert len(mixed) == (not known)
+    assert known or f"experiment {one.id}, but in experiment other it is missing" in mixed[0]
+
+
 @pytest.mark.slow
 def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking):
     names = tuple(p.name for p in lacking.parameters)

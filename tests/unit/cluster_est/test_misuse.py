@@ -233,6 +233,21 @@ def test_experiments_that_the_fmu_is_not_for(use, change, said):
         use(ce.Problem(MODEL, [MASS], [replace(RUN, **change)]))
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"inputs": (ce.Input("FF", T, T),)}, "experiment 'a'.inputs: .*'FF'; did you mean 'F'"),
+        ({"outputs": (ce.Output("yy", T, T),)}, "experiment 'a'.outputs: .*'yy'; did you mean 'y'"),
+        ({"values": {"kk": 1.0}}, "experiment 'a'.values: .*'kk'; did you mean 'k'"),
+    ],
+)
+def test_names_are_compared_with_the_fmu_when_the_problem_is_made(change, said):
+    with pytest.raises(ModelError, match=said):
+        ce.Problem(MODEL, [MASS], [replace(RUN, **change)])
+    with pytest.raises(ModelError, match=r"parameters\.mm: .*'mm'; did you mean 'm'"):
+        ce.Problem(MODEL, [ce.Parameter("mm", 1.0)], [RUN])
+
+
 @pytest.mark.parametrize("use", [ce.fit, ce.simulate, ce.residuals, ce.close_loop])
 @pytest.mark.parametrize(
     ("given", "said"), [("first.toml", r".*use read_problem\('first.t"), (None, ".*None")]

@@ -258,6 +258,19 @@ def test_outputs_without_sigma_are_weighted_with_their_noise(guess):
         assert any("sigma = { motor_speed = 0.0" in note for note in bench.scope.notes)
 
 
+def test_a_known_sigma_does_not_make_those_of_other_outputs_known():
+    """The sigma of the load's speed is a guess, so both outputs are weighted with their noise."""
+
+    def half(output):
+        return replace(output, sigma_known=output.variable == "motor_speed")
+
+    with opened(with_outputs(two_units(0.5), half)) as bench:
+        assert not bench.fitter.sigma_declared
+        for run in bench.fitter.problem.experiments:
+            assert [o.sigma for o in run.outputs] == pytest.approx([0.02, 0.2], rel=0.2)
+        assert any("not every sigma of the outputs is known, so" in n for n in bench.scope.notes)
+
+
 def test_a_guess_that_grows_with_the_value_keeps_its_shape():
     """The guess is ten times the noise everywhere, so it is divided by ten everywhere."""
 

@@ -9,7 +9,7 @@ from support.truth.stacked_noise import coloured, late
 
 from cluster_est import LoopSettings
 from cluster_est.closed_loop.findings.unexplained import varying_columns
-from cluster_est.problem.tables.measured import TableSource
+from cluster_est.problem.tables.sources import TableSource
 
 SAMPLES, RUNS = 600, 2
 LEVEL = LoopSettings().significance

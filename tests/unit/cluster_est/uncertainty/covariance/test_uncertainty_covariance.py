@@ -1,5 +1,6 @@
 """Intervals, correlations and derived parameters against dense formulas and simulation."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -329,6 +330,23 @@ class TestIncomplete:
         assert (
             "3 residuals determine 3 independent combinations of the parameters" in found.notes[0]
         )
+
+    @pytest.mark.parametrize(
+        ("samples", "said"),
+        [
+            (4, "are 6.5 times as wide.*4 residuals determine 3 values, .* 1 degree of freedom"),
+            (6, "are 1.6 times as wide.*6 residuals determine 3 values, .* 3 degrees of freedom"),
+            (8, ""),
+        ],
+    )
+    def test_intervals_from_few_samples_are_explained(self, samples, said):
+        """The 97.5 % quantiles of Student's t are 12.71, 3.18 and 2.57, that of the normal 1.96."""
+        curves = decays(count=1)
+        short = replace(curves, times=TIMES[:samples], measured=[curves.measured[0][:samples]])
+        _, space, solution = short.solve()
+        notes = [note for note in assess(space, solution).notes if "as with many" in note]
+        assert bool(notes) == bool(said)
+        assert not said or re.search(said, notes[0])
 
     def test_an_active_constraint_on_a_signal_is_noted(self):
         _, space, solution = decays(count=1).solve()
