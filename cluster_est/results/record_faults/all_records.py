@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.problem.tables.units import likely_conversions
-from cluster_est.results.record_faults.changes import stretched, with_input
+from cluster_est.results.record_faults.changes import LARGEST_SHIFT, stretched, with_input
 from cluster_est.results.record_faults.fault import RecordFault, Sort
 from cluster_est.results.record_faults.fitted_records import (
     AT_NOISE,
@@ -33,6 +33,9 @@ from workers.messages import Experiment, FloatArray, Output
 GROSS = 0.05
 """Least misfit of a fit, relative to the signals, for which conversions are tried. Conversions
 change a column by a factor of 1.8 or more, so that a fit with a wrong one is poor."""
+GROSS_IN_TIME = 0.3
+"""The same for times in minutes or hours, whose simulations take 60 or 3600 times as long. A model
+that is so much too slow does not follow its inputs at all."""
 BETTER = 0.8
 """Largest ratio of the misfits with and without a conversion for a refit."""
 MOST_REFITS = 3
@@ -75,6 +78,11 @@ class SharedChange:
     offset: float = 0.0
     late: float = 0.0
 
+    @property
+    def takes_longer(self) -> bool:
+        """Whether the changed experiments take longer."""
+        return self.sort == "times" and self.factor > 1.0
+
     def of(self, run: Experiment) -> Experiment:
         """Return the corrected experiment."""
         if self.sort == "times":
@@ -99,8 +107,9 @@ class SharedChange:
         larger = replace(self, factor=self.factor * (1.0 + STEP))
         if not self.offset:
             return [(larger, STEP)]
-        columns = [c for run in runs for c in (*run.inputs, *run.outputs)]
-        mean = np.mean(np.concatenate([c.values for c in columns if c.variable in self.names]))
+        columns = [(c.variable, c.values) for run in runs for c in run.inputs]
+        columns += [(c.variable, c.values) for run in runs for c in run.outputs]
+        mean = np.mean(np.concatenate([values for name, values in columns if name in self.names]))
         turned = replace(larger, offset=self.offset - STEP * self.factor * float(mean))
         return [(turned, STEP), (replace(self, offset=self.offset * (1.0 + STEP)), STEP)]
 
@@ -153,7 +162,7 @@ class ChangedFit:
         if not np.all(np.linalg.norm(left, axis=0) > 1e-6 * np.linalg.norm(own, axis=0)):
             nothing = np.zeros(own.shape[1])
             return nothing, nothing + np.inf, 0.0
-        steps = np.linalg.lstsq(left, -rest, rcond=1e-9)[0]
+        steps = np.asarray(np.linalg.lstsq(left, -rest, rcond=1e-9)[0])
         inverse = np.linalg.pinv(left.T @ left, rcond=1e-12, hermitian=True)
         total = float(rest @ rest)
         share = (total - np.sum((rest + left @ steps) ** 2)) / max(total - len(rest), 1e-300)
@@ -164,11 +173,13 @@ class ChangedFit:
 def unit_of_all_records(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     """Find a column, or the times, in another unit in all records."""
     before = float(fitted.levels(fitted.residuals, fitted.runs, fitted.noise_here).max())
-    if not before > OFF or not _misfit(fitted.runs, fitted.residuals) > GROSS:
+    misfit = _misfit(fitted.runs, fitted.residuals)
+    if not before > OFF or not misfit > GROSS:
         return ()
-    unchanged, *misfits = _misfits(fitted, [SharedChange("times", ()), *_conversions(fitted)], {})
+    known = [c for c in _conversions(fitted) if not c.takes_longer or misfit > GROSS_IN_TIME]
+    unchanged, *misfits = _misfits(fitted, [SharedChange("times", ()), *known], {})
     found = []
-    for change in _best(_conversions(fitted), misfits, unchanged):
+    for change in _best(known, misfits, unchanged):
         fit = _fit(fitted, change, {})
         if fit is not None and fit.fits:
             found.append((change, fit))
@@ -180,10 +191,12 @@ def unit_of_all_records(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     gain, offset = 1.0 / change.factor, -change.offset / change.factor
     parts = [f"a gain of {gain:.4g}"] if gain != 1.0 else []
     parts += [f"an offset of {offset:.4g}"] if offset else []
-    alike = f"{' and '.join(parts)} that the model lacks"
+    alike = f"{' and '.join(parts)} that the model lacks or has in a wrong fixed parameter"
+    if change.sort == "times":
+        alike = "rates of the model that are all wrong by this factor"
     fault = RecordFault(
         "unit", "", change.sort, change.names, gain, before, fit.after, change.unit,
-        () if change.sort == "times" else (alike,), factor=change.factor, offset=change.offset,
+        (alike,), factor=change.factor, offset=change.offset,
         held_out=fit.held_out,
     )  # fmt: skip
     return (fault,)
@@ -231,7 +244,7 @@ def _misfits(
         np.inf if rest is None else _misfit([run], rest)
         for run, rest in zip(runs, fitted.simulate(runs, rows), strict=True)
     ]
-    return np.mean(np.reshape(found, (len(changes), -1)), axis=1).tolist()
+    return [float(each) for each in np.mean(np.reshape(found, (len(changes), -1)), axis=1)]
 
 
 def _misfit(runs: Sequence[Experiment], residuals: FloatArray) -> float:
@@ -351,19 +364,20 @@ def clock_of_all_records(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     if not before > OFF or min(len(outputs), len(columns) - len(outputs)) < 2:
         return ()
     scale = noise_rows(fitted.runs, fitted.noise_here)
-    fit: ChangedFit | None = ChangedFit(
-        fitted.space, fitted.x, fitted.residuals, fitted.jacobian, scale, before
-    )
-    late, most = 0.0, 0.1 * min(run.stop - run.start for run in fitted.runs)
+    fit = ChangedFit(fitted.space, fitted.x, fitted.residuals, fitted.jacobian, scale, before)
+    late, most = 0.0, LARGEST_SHIFT * min(run.stop - run.start for run in fitted.runs)
     for _ in range(ROUNDS):
         (step,), _, share = fit.step(_slopes(fit))
         late += float(step)
-        if share < PROMISED or abs(late) > most:
+        change = SharedChange("outputs", outputs, late=late)
+        promising = share > PROMISED and abs(late) < most
+        found = _fit(fitted, change, fitted.estimates) if promising else None
+        if found is None:
             return ()
-        fit = _fit(fitted, SharedChange("outputs", outputs, late=late), fitted.estimates)
-        if fit is None or fit.fits:
+        fit = found
+        if fit.fits:
             break
-    if fit is None or not fit.fits or not fit.step(_slopes(fit))[1][0] < abs(late):
+    if not fit.fits or not fit.step(_slopes(fit))[1][0] < abs(late):
         return ()
     alone = [
         SharedChange(sort, (name,), late=late if sort == "outputs" else -late)
