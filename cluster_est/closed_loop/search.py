@@ -129,7 +129,7 @@ def search_for_effects(
     before = fitter.runner.failures
     faults = _record_faults(fitter, base, resources)
     said = "; ".join(each.sentence for each in faults)
-    if error.hides_effects or any(each.experiment for each in faults):
+    if error.hides_effects or any(each.kind != "foreign source" for each in faults):
         found = without_search(fitter, settings, base)
         ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, said or error.refusal))]
     else:
@@ -146,7 +146,7 @@ def _record_faults(
 ) -> tuple[RecordFault, ...]:
     """Return faults of the records that alone explain the residual.
 
-    If a single record has a fault, the other records show no missing effect, so there is no search.
+    With the fault corrected, the records show no missing effect, so there is no search.
     """
     if fitter.predicts:
         return ()

@@ -30,6 +30,7 @@ from cluster_est.problem.tables.units import (
     split_unit,
 )
 from cluster_est.results.output_errors import Simulation
+from cluster_est.results.record_faults.changes import stretched
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input
@@ -345,7 +346,7 @@ def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_V
     table = tables.get(experiment.id)
     for unit, factor in TIME_UNIT_SECONDS.items():
         yield _Variant(
-            _stretched(experiment, factor),
+            stretched(experiment, factor),
             factor,
             f"the times seem to be in {unit}, but are read as seconds, so the experiment lasts "
             f"{long:.4g} s",
@@ -363,24 +364,6 @@ def _rescaled_time(table: TableSource | None, factor: float) -> str:
     return (
         f"write columns.COLUMN = {{ factor = {factor:g} }}, with the name of the time column, or "
         f"multiply sample_time by {factor:g}"
-    )
-
-
-def _stretched(experiment: Experiment, factor: float) -> Experiment:
-    """Return an experiment with its times multiplied by a factor."""
-    return replace(
-        experiment,
-        start=experiment.start * factor,
-        stop=experiment.stop * factor,
-        inputs=tuple(replace(i, times=i.times * factor) for i in experiment.inputs),
-        outputs=tuple(
-            replace(o, times=o.times * factor, reference=None) for o in experiment.outputs
-        ),
-        signals=(),
-        bounds=(),
-        curve=None,
-        cost_function=None,
-        constraint_functions=(),
     )
 
 

@@ -90,8 +90,10 @@ _UNITS |= {
         ("d", (("s", 1),), 86400.0, 0.0),
         ("g", (("kg", 1),), 1e-3, 0.0),
         ("mg", (("kg", 1),), 1e-6, 0.0),
+        ("ug", (("kg", 1),), 1e-9, 0.0),
         ("t", (("kg", 1),), 1e3, 0.0),
         ("hPa", (("Pa", 1),), 1e2, 0.0),
+        ("kgf", (("N", 1),), 9.80665, 0.0),
         ("psi", (("Pa", 1),), 6894.757293168, 0.0),
         ("Wh", (("J", 1),), 3600.0, 0.0),
         ("kWh", (("J", 1),), 3.6e6, 0.0),
@@ -115,10 +117,12 @@ _AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
 
 LIKELY = {
     "rad/s": ("rpm", "deg/s"), "rpm": ("rad/s",), "deg/s": ("rad/s",),
-    "rad": ("deg",), "deg": ("rad",), "K": ("degC",), "degC": ("K",),
-    "Pa": ("kPa", "bar", "hPa", "MPa"), "bar": ("Pa", "kPa"), "kPa": ("Pa", "bar"),
+    "rad": ("deg",), "deg": ("rad",), "K": ("degC", "degF"), "degC": ("K", "degF"),
+    "Pa": ("kPa", "bar", "hPa", "MPa"), "bar": ("Pa", "kPa", "mbar"), "kPa": ("Pa", "bar"),
+    "MPa": ("bar", "kPa", "Pa"),
     "m": ("mm", "cm"), "mm": ("m",), "m/s": ("km/h", "mm/s"), "s": ("ms", "min", "h"),
-    "N": ("kN",), "W": ("kW",), "J": ("kJ", "kWh"), "V": ("mV",), "A": ("mA",),
+    "N": ("kN", "kgf"), "W": ("kW",), "J": ("kJ", "kWh"), "V": ("mV",), "A": ("mA",),
+    "mg/l": ("g/l", "ug/l"), "g/l": ("mg/l",),
     "m3/s": ("l/min", "m3/h", "l/s"), "kg/s": ("kg/h", "kg/min", "g/s"), "1": ("%",),
 }  # fmt: skip
 """For each unit, other units in which a column may actually be."""

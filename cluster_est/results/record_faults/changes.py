@@ -386,6 +386,22 @@ def with_input(
     return replace(run, inputs=inputs)
 
 
+def stretched(run: Experiment, factor: float) -> Experiment:
+    """Return an experiment with its times multiplied by a factor."""
+    return replace(
+        run,
+        start=run.start * factor,
+        stop=run.stop * factor,
+        inputs=tuple(replace(i, times=i.times * factor) for i in run.inputs),
+        outputs=tuple(replace(o, times=o.times * factor, reference=None) for o in run.outputs),
+        signals=tuple(replace(s, times=s.times * factor) for s in run.signals),
+        bounds=(),
+        curve=None,
+        cost_function=None,
+        constraint_functions=(),
+    )
+
+
 def _gain_of_input(record: OddRecord, name: str) -> Entry:
     def make(size: float, residuals: FloatArray) -> MendedRecord:
         return MendedRecord("gain", "inputs", (name,), size, 0.0, np.nan, 1, residuals)

@@ -12,7 +12,7 @@ from cluster_est.toml import dotted
 FaultKind = Literal[
     "gain", "offset", "sign", "unit", "delay", "clock", "swapped", "initial state", "foreign source"
 ]
-Sort = Literal["inputs", "outputs"]
+Sort = Literal["inputs", "outputs", "times"]
 
 UNIT_FACTORS: tuple[tuple[float, float, str], ...] = (
     (180.0 / math.pi, 0.0, "degrees for radians"),
@@ -66,6 +66,8 @@ class RecordFault:
         Factor and offset that correct the column; for an initial state, the offset is its value.
     column
         Column of the table, if it is known.
+    held_out
+        As `after`, in held-out experiments, for a fault of all records; 0 if there are none.
     """
 
     kind: FaultKind
@@ -81,22 +83,30 @@ class RecordFault:
     factor: float = 1.0
     offset: float = 0.0
     column: str = "COLUMN"
+    held_out: float = math.nan
 
     @property
     def sentence(self) -> str:
         """The fault, its evidence, and its correction, as a sentence."""
         if self.kind == "foreign source":
             return f"check the records first: {self.said}; {self.remedy}"
+        alike = (
+            f" (or {' or '.join(self.others)}, which would look the same in these data)"
+            if self.others
+            else ""
+        )
+        if not self.experiment:
+            tests = f" ({self.held_out:.2g} in held-out experiments)" if self.held_out else ""
+            return (
+                f"check the records first: {self.said}, in all experiments{alike}; with the "
+                f"correction and fitted parameters, the error falls from {self.before:.2g} to "
+                f"{self.after:.2g} times the noise{tests}; {self.remedy}"
+            )
         own = f"experiment {self.experiment}"
         apart = (
             f"{own} is the faulty one, because without it the other experiments fit to within the "
             f"noise; its error is {self.before:.2g} times the noise, and {self.after:.2g} times "
             "after the correction"
-        )
-        alike = (
-            f" (or {' or '.join(self.others)}, which would look the same in these data)"
-            if self.others
-            else ""
         )
         return f"check the record of {own} first: {self.said}{alike}; {apart}; {self.remedy}"
 
@@ -115,8 +125,9 @@ class RecordFault:
             where = "high" if self.size > 0.0 else "low"
             return f"{what} {name} is {abs(self.size):.4g}{unit} too {where}"
         if self.kind == "unit":
+            of = "the column of" if self.sort == "times" else what
             return (
-                f"{what} {name} seems to be in the wrong unit: "
+                f"{of} {name} seems to be in the wrong unit: "
                 f"{self.unit.replace(' for ', ' instead of ')}"
             )
         late = "late" if self.size > 0.0 else "early"

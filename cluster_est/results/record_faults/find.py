@@ -15,6 +15,7 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
 from cluster_est.results.output_errors import Simulation
+from cluster_est.results.record_faults.all_records import clock_of_all_records, unit_of_all_records
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.fitted_records import AT_NOISE, FittedRecords
 from cluster_est.results.record_faults.foreign_source import foreign_source
@@ -37,6 +38,8 @@ MOST_ENTRIES = 20_000_000
 TESTS: tuple[RecordTest, ...] = (
     RecordTest("foreign source", foreign_source),
     RecordTest("odd record", odd_record),
+    RecordTest("unit of all records", unit_of_all_records),
+    RecordTest("clock of all records", clock_of_all_records),
 )
 """The tests in their order; the first one needs no simulations. The first finding is used."""
 

@@ -19,7 +19,7 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.records import StackedRecords, make_records
-from workers.messages import Experiment, FloatArray
+from workers.messages import Experiment, FloatArray, Solver
 
 AT_NOISE = 1.3
 """Largest ratio of residual to noise with which the model fits a record."""
@@ -116,6 +116,13 @@ class FittedRecords:
         """Fit unchanged records in each of these search spaces, which may leave out records."""
         return self.runner.run([SearchRequest("records", REFIT, space) for space in spaces])
 
+    def limited_solver(self, runs: Sequence[Experiment]) -> Solver:
+        """Return the solver with a limit of its steps for changed records."""
+        samples = max((len(o.times) for run in runs for o in run.outputs), default=0)
+        solver = self.problem.model.solver
+        most = min(solver.max_steps, max(LEAST_STEPS, STEPS_OF_SAMPLE * samples))
+        return replace(solver, max_steps=most)
+
     def simulate(self, runs: Sequence[Experiment], values: FloatArray) -> list[FloatArray | None]:
         """Return the residuals of changed experiments; None for a failed simulation.
 
@@ -130,11 +137,8 @@ class FittedRecords:
             If no process can be started.
         """
         self.count(len(runs))
-        samples = max((len(o.times) for run in runs for o in run.outputs), default=0)
-        solver = self.problem.model.solver
-        most = min(solver.max_steps, max(LEAST_STEPS, STEPS_OF_SAMPLE * samples))
         outcomes = simulate_with_solver(
-            self.problem, tuple(runs), values, replace(solver, max_steps=most), "residuals",
+            self.problem, tuple(runs), values, self.limited_solver(runs), "residuals",
             self.resources, beside=self.runner,
         )  # fmt: skip
         return [each.residuals if each.ok else None for each in outcomes]
@@ -175,3 +179,12 @@ class FittedRecords:
                 points[row, unknown] - x[unknown]
             )
         return residuals[0], matrix
+
+
+def noise_rows(runs: Sequence[Experiment], noise: FloatArray) -> FloatArray:
+    """Return the noise of each residual, from the noise of each output."""
+    names = list(dict.fromkeys(o.variable for each in runs for o in each.outputs))
+    parts = [
+        np.full(len(o.times), noise[names.index(o.variable)]) for run in runs for o in run.outputs
+    ]
+    return np.concatenate(parts)

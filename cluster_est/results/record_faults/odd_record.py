@@ -17,7 +17,12 @@ from cluster_est.methods.method import Solution
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results.record_faults.changes import MendedRecord, OddRecord, mended
 from cluster_est.results.record_faults.fault import RecordFault, as_unit
-from cluster_est.results.record_faults.fitted_records import AT_NOISE, OFF, FittedRecords
+from cluster_est.results.record_faults.fitted_records import (
+    AT_NOISE,
+    OFF,
+    FittedRecords,
+    noise_rows,
+)
 from cluster_est.statistics.projection import OrthogonalProjection
 from workers.messages import Experiment, FloatArray
 
@@ -162,7 +167,7 @@ def _searched(
     noise = fitted.noise(left.residuals, others)
     residuals, matrix = found
     own, sizes = _per_output(run, others, noise), _noise_of(run, others, noise)
-    project = _projection(left, whole, matrix, own, _rows_of(others, noise))
+    project = _projection(left, whole, matrix, own, noise_rows(others, noise))
 
     def level(change: FloatArray) -> float:
         rest = project(change)[: len(own)] * own
@@ -190,14 +195,6 @@ def _noise_of(run: Experiment, others: list[Experiment], noise: FloatArray) -> F
     """Return the noise of the outputs of one record, from the noise in the other records."""
     names = list(dict.fromkeys(o.variable for each in others for o in each.outputs))
     return np.array([noise[names.index(o.variable)] for o in run.outputs])
-
-
-def _rows_of(runs: list[Experiment], noise: FloatArray) -> FloatArray:
-    names = list(dict.fromkeys(o.variable for each in runs for o in each.outputs))
-    parts = [
-        np.full(len(o.times), noise[names.index(o.variable)]) for run in runs for o in run.outputs
-    ]
-    return np.concatenate(parts)
 
 
 class _Projected:
