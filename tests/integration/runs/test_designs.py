@@ -169,7 +169,7 @@ def test_the_block_that_is_printed_makes_it_one_more_experiment(folder):
 def test_overrides_say_where_it_runs_and_for_how_long(folder, design, tmp_path, capsys):
     assert design("parameters.k.start=3") == 2
     assert "must be a key of executor, budget, log" in capsys.readouterr().err
-    assert design(f"budget.evaluations={int(0.4 * facts(folder / 'next')['evaluations'])}") == 0
+    assert design(f"budget.evaluations={int(0.6 * facts(folder / 'next')['evaluations'])}") == 0
     notes = facts(tmp_path / "new")["notes"]
     assert any("the budget was used up after" in note for note in notes)
 
