@@ -58,6 +58,12 @@ def dimension(**powers: float) -> Dimension:
     return Dimension(tuple(float(powers.get(name, 0.0)) for name in BASES))
 
 
+def integral_of(rate: Dimension) -> Dimension:
+    """Return the dimension of the integral of a quantity over time."""
+    powers = zip(BASES, rate.powers, strict=True)
+    return Dimension(tuple(power + (name == "time") for name, power in powers))
+
+
 NUMBER = dimension()
 LENGTH, ANGLE = dimension(length=1), dimension(angle=1)
 SPEED, TURNING = dimension(length=1, time=-1), dimension(angle=1, time=-1)
