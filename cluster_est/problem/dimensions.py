@@ -78,6 +78,13 @@ FLOW, MASS_FLOW = dimension(length=3, time=-1), dimension(mass=1, time=-1)
 POWER, HEAT_FLUX = dimension(mass=1, length=2, time=-3), dimension(mass=1, time=-3)
 CURRENT, CHARGE = dimension(current=1), dimension(current=1, time=1)
 DENSITY, CONCENTRATION = dimension(mass=1, length=-3), dimension(substance=1, length=-3)
+ENERGY, MOMENTUM = TORQUE, dimension(mass=1, length=1, time=-1)
+
+BALANCED = (
+    VOLUME, MASS, AMOUNT, CHARGE, ENERGY, MOMENTUM, SPEED, TURNING, TEMPERATURE, PRESSURE, DENSITY,
+    CONCENTRATION,
+)  # fmt: skip
+"""Quantities that are conserved, and those that measure how much of such a quantity there is."""
 
 
 class KnownUnits:

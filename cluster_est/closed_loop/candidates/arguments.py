@@ -15,7 +15,15 @@ from cluster_est.closed_loop.candidates.trajectory import (
     LinearisedTrajectory,
     integrated_states,
 )
-from cluster_est.problem.dimensions import ANGLE, LENGTH, NUMBER, Dimension, KnownUnits, integral_of
+from cluster_est.problem.dimensions import (
+    ANGLE,
+    BALANCED,
+    LENGTH,
+    NUMBER,
+    Dimension,
+    KnownUnits,
+    integral_of,
+)
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.laws import Law
@@ -67,8 +75,8 @@ def kinematic_definitions(
 ) -> list[KinematicDefinition]:
     """Return the equations dx/dt = v of positions, angles and states of unknown quantities.
 
-    The same equation is a balance if x is a volume, a charge or another known quantity. A term of a
-    balance may be missing, such as a leak.
+    The same equation is a balance if x is a volume, a charge or another conserved quantity. A term
+    of a balance may be missing, such as a leak.
     """
     units = KnownUnits(description, dict(problem.units))
     found = []
@@ -84,7 +92,8 @@ def kinematic_definitions(
 def _is_position(own: Dimension | None, rate: Dimension | None) -> bool | None:
     """Return whether a state is a position or an angle; None if the units leave it open.
 
-    A dimensionless state may be an angle or a share, such as a state of charge.
+    A dimensionless state may be an angle or a share, such as a state of charge. The rate of a
+    voltage in V/s is no flow, so the equation may be the definition of this rate.
     """
     integral = None if rate is None else integral_of(rate)
     known = [d for d in (own, integral) if d is not None and d != NUMBER]
@@ -92,7 +101,9 @@ def _is_position(own: Dimension | None, rate: Dimension | None) -> bool | None:
         return None
     if own is not None and integral is not None and own.without_angle != integral.without_angle:
         return False  # a factor of 1 that has a unit, such as the area of a tank
-    return known[0].same_as(LENGTH, ANGLE)
+    if known[0].same_as(*BALANCED):
+        return False
+    return known[0].same_as(LENGTH, ANGLE) or None
 
 
 @dataclass(frozen=True)

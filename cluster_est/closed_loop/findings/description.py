@@ -78,14 +78,14 @@ def taken_for_definitions(definitions: Sequence[KinematicDefinition]) -> tuple[s
     more = len(unsure) - len(shown)
     shown += [f"{more} more"] if more else []
     taken, state, one = (
-        ("were taken for definitions of speeds", "its state", "one of them")
+        ("were taken for definitions of rates", "its state", "one of them")
         if len(unsure) > 1
-        else ("was taken for the definition of a speed", unsure[0].state, "it")
+        else ("was taken for the definition of a rate", unsure[0].state, "it")
     )
     return (
         f"{in_a_row(shown)} {taken}, so no effect was searched there; if {one} is a "
-        f"balance, such as that of a volume or a charge, give {state} a unit in model.units, or "
-        f'set closed_loop.sites = ["der({unsure[0].state})"]',
+        f"balance, such as that of a volume or a charge, set "
+        f'closed_loop.sites = ["der({unsure[0].state})"], or the unit of {state} in model.units',
     )
 
 

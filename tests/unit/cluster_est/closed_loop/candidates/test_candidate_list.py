@@ -92,6 +92,7 @@ def of_units(own, rate):
         ("", "", False),
         ("1", "1/s", False),
         ("furlong", "", False),
+        ("V", "V/s", False),
     ],
 )
 def test_the_speed_of_a_position_or_an_angle_is_a_definition(own, rate, certain):
@@ -109,6 +110,8 @@ def test_the_speed_of_a_position_or_an_angle_is_a_definition(own, rate, certain)
         ("l", "l/s"),
         ("", "l/s"),
         ("A.h", "A"),
+        ("V", "A"),
+        ("J", "W"),
         ("kg", ""),
         ("K", "K/s"),
         ("m/s", "m/s2"),
@@ -135,8 +138,8 @@ def test_a_definition_that_the_user_names_is_searched(site):
 def test_a_note_names_the_equations_that_no_unit_explains():
     unsure = [KinematicDefinition(f"V{i}", f"q{i}", certain=False) for i in range(6)]
     (one,) = taken_for_definitions([*unsure[:1], KinematicDefinition("x", "v", certain=True)])
-    assert one.startswith("der(V0) = q0 was taken for the definition of a speed, so no effect was")
-    assert one.endswith('give V0 a unit in model.units, or set closed_loop.sites = ["der(V0)"]')
+    assert one.startswith("der(V0) = q0 was taken for the definition of a rate, so no effect was")
+    assert one.endswith('closed_loop.sites = ["der(V0)"], or the unit of V0 in model.units')
     (many,) = taken_for_definitions(unsure)
     assert many.startswith("der(V0) = q0, der(V1) = q1, der(V2) = q2, der(V3) = q3 and 2 more were")
 
