@@ -291,7 +291,7 @@ def _over_noise(row: dict[str, Any], when: str) -> str:
 
 
 def _print_rest(answer: Answer, facts: Facts) -> None:
-    """Print the rejected effects, the noise and the open sites."""
+    """Print the rejected effects, the noise and the searched sites."""
     for effect in facts["rejected"]:
         said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
         known = effect.get("claim") or {
@@ -305,4 +305,5 @@ def _print_rest(answer: Answer, facts: Facts) -> None:
     )
     if noise:
         answer.say(f"noise estimated from the residuals: {noise}")
-    answer.say(f"open sites: {', '.join(facts['sites'])}")
+    if facts["sites"]:
+        answer.say(f"searched sites: {', '.join(facts['sites'])}")

@@ -27,6 +27,7 @@ from cluster_est.closed_loop.findings.description import (
     describe_untested,
     error_changes,
     shared_arguments,
+    taken_for_definitions,
     where_left,
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
@@ -267,7 +268,8 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
-    notes = (*failed, *_nothing_tried(found, scope.sites), *doubts, *answer.against, *scope.notes)
+    tried = (*_nothing_tried(found, scope.sites), *taken_for_definitions(found.definitions))
+    notes = (*failed, *tried, *doubts, *answer.against, *scope.notes)
     return LoopResult(
         verdict=judgement.verdict,
         message="; ".join(filter(None, said)),
@@ -278,7 +280,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         findings=found.findings,
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
-        sites=scope.sites,
+        sites=found.sites,
         notes=(*notes, *_notes(fitter, judgement.verdict, kept, after, found.noise)),
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,

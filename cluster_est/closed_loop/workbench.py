@@ -44,7 +44,7 @@ from workers.messages.checks import check_kind, check_number
 
 @dataclass(frozen=True)
 class LoopScope:
-    """Facts that each report shows, whatever the search finds: the open sites, and notes."""
+    """The sites that the FMU offers, and notes that each report shows."""
 
     sites: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

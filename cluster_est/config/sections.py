@@ -287,8 +287,9 @@ class ModelSection(ConfigSection):
     )
     units: dict[str, str] = Field(
         default_factory=dict,
-        description="FMU variable or signal = its unit, if the FMU gives none or a wrong one; only "
-        "shown in tables and text, so no number is converted",
+        description="FMU variable or signal = its unit, if the FMU gives none or a wrong one; "
+        "shown in tables and text; close-loop uses units to choose candidates and to name effects; "
+        "no number is converted",
     )
 
 

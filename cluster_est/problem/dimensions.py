@@ -58,6 +58,12 @@ def dimension(**powers: float) -> Dimension:
     return Dimension(tuple(float(powers.get(name, 0.0)) for name in BASES))
 
 
+def integral_of(rate: Dimension) -> Dimension:
+    """Return the dimension of the integral of a quantity over time."""
+    powers = zip(BASES, rate.powers, strict=True)
+    return Dimension(tuple(power + (name == "time") for name, power in powers))
+
+
 NUMBER = dimension()
 LENGTH, ANGLE = dimension(length=1), dimension(angle=1)
 SPEED, TURNING = dimension(length=1, time=-1), dimension(angle=1, time=-1)
@@ -72,6 +78,13 @@ FLOW, MASS_FLOW = dimension(length=3, time=-1), dimension(mass=1, time=-1)
 POWER, HEAT_FLUX = dimension(mass=1, length=2, time=-3), dimension(mass=1, time=-3)
 CURRENT, CHARGE = dimension(current=1), dimension(current=1, time=1)
 DENSITY, CONCENTRATION = dimension(mass=1, length=-3), dimension(substance=1, length=-3)
+ENERGY, MOMENTUM = TORQUE, dimension(mass=1, length=1, time=-1)
+
+BALANCED = (
+    VOLUME, MASS, AMOUNT, CHARGE, ENERGY, MOMENTUM, SPEED, TURNING, TEMPERATURE, PRESSURE, DENSITY,
+    CONCENTRATION,
+)  # fmt: skip
+"""Quantities that are conserved, and those that measure how much of such a quantity there is."""
 
 
 class KnownUnits:

@@ -10,8 +10,20 @@ from functools import cached_property
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, integrated_states
-from cluster_est.problem.dimensions import NUMBER, KnownUnits
+from cluster_est.closed_loop.candidates.trajectory import (
+    CONSTANT_FACTOR,
+    LinearisedTrajectory,
+    integrated_states,
+)
+from cluster_est.problem.dimensions import (
+    ANGLE,
+    BALANCED,
+    LENGTH,
+    NUMBER,
+    Dimension,
+    KnownUnits,
+    integral_of,
+)
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.laws import Law
@@ -44,6 +56,54 @@ def by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
     for place in places:
         found.setdefault(place.site, []).append(place.argument)
     return found
+
+
+@dataclass(frozen=True)
+class KinematicDefinition:
+    """An equation dx/dt = v that only defines the speed v of a position or an angle x.
+
+    Nothing can be missing in it. `certain` says whether this follows from the units.
+    """
+
+    state: str
+    speed: str
+    certain: bool
+
+
+def kinematic_definitions(
+    problem: Problem, description: ModelDescription, trajectories: Sequence[LinearisedTrajectory]
+) -> list[KinematicDefinition]:
+    """Return the equations dx/dt = v of positions, angles and states of unknown quantities.
+
+    The same equation is a balance if x is a volume, a charge or another conserved quantity. A term
+    of a balance may be missing, such as a leak.
+    """
+    units = KnownUnits(description, dict(problem.units))
+    found = []
+    for state, (speed, factor) in integrated_states(trajectories).items():
+        if abs(factor - 1.0) >= CONSTANT_FACTOR:
+            continue
+        certain = _is_position(units.of(state), units.of(speed))
+        if certain is not False:
+            found.append(KinematicDefinition(state, speed, bool(certain)))
+    return found
+
+
+def _is_position(own: Dimension | None, rate: Dimension | None) -> bool | None:
+    """Return whether a state is a position or an angle; None if the units leave it open.
+
+    A dimensionless state may be an angle or a share, such as a state of charge. The rate of a
+    voltage in V/s is no flow, so the equation may be the definition of this rate.
+    """
+    integral = None if rate is None else integral_of(rate)
+    known = [d for d in (own, integral) if d is not None and d != NUMBER]
+    if not known:
+        return None
+    if own is not None and integral is not None and own.without_angle != integral.without_angle:
+        return False  # a factor of 1 that has a unit, such as the area of a tank
+    if known[0].same_as(*BALANCED):
+        return False
+    return known[0].same_as(LENGTH, ANGLE) or None
 
 
 @dataclass(frozen=True)

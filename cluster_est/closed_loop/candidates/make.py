@@ -13,19 +13,16 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
+    KinematicDefinition,
     OpenArguments,
     by_site,
+    kinematic_definitions,
     open_arguments,
     variables_of,
 )
 from cluster_est.closed_loop.candidates.array_forms import shape_of
 from cluster_est.closed_loop.candidates.scales import SHORTEST_TIME, SignalScales
-from cluster_est.closed_loop.candidates.trajectory import (
-    CONSTANT_FACTOR,
-    LinearisedTrajectory,
-    integrated_states,
-    pooled,
-)
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.declared_effects import equation_text
 from cluster_est.problem.parameter import Parameter, Scale
@@ -364,10 +361,21 @@ class OpenSites:
         ]
 
     def _moving(self) -> set[str]:
-        """The states whose derivatives may lack a term: not those with the exact dx/dt = v."""
-        integrated = integrated_states(self.trajectories)
-        exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT_FACTOR}
-        return set(self.description.states) - exact
+        """The states whose derivatives may lack a term."""
+        return set(self.description.states) - {each.state for each in self.definitions}
+
+    @cached_property
+    def definitions(self) -> tuple[KinematicDefinition, ...]:
+        """The kinematic equations in which nothing can be missing, unless the user names them."""
+        sites = [parse_site(text, "closed_loop.sites") for text in self.settings.sites]
+        named = {state for site in sites if site.at_rates for state in site.targets}
+        known = kinematic_definitions(self.problem, self.description, self.trajectories)
+        return tuple(each for each in known if each.state not in named)
+
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """The sites at which a form can be tried."""
+        return tuple(str(site) for site in self.all if self.forms_at(site))
 
 
 BETWEEN = 4

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.arguments import KinematicDefinition
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effect_curves import agreements
 from cluster_est.closed_loop.findings.effects import (
@@ -58,6 +59,33 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
         "sum as one curve, because the size and the name of the single terms are less certain"
         for (site, (argument,)), names in places.items()
         if len(names) > 1
+    )
+
+
+MOST_EQUATIONS = 4
+"""Number of equations that a note shows."""
+
+
+def taken_for_definitions(definitions: Sequence[KinematicDefinition]) -> tuple[str, ...]:
+    """Say which equations count as definitions although no unit says so, and how to search there.
+
+    In a mechanical model with units, such equations are obvious, so there is no note.
+    """
+    unsure = [each for each in definitions if not each.certain]
+    if not unsure:
+        return ()
+    shown = [f"der({each.state}) = {each.speed}" for each in unsure[:MOST_EQUATIONS]]
+    more = len(unsure) - len(shown)
+    shown += [f"{more} more"] if more else []
+    taken, state, one = (
+        ("were taken for definitions of rates", "its state", "one of them")
+        if len(unsure) > 1
+        else ("was taken for the definition of a rate", unsure[0].state, "it")
+    )
+    return (
+        f"{in_a_row(shown)} {taken}, so no effect was searched there; if {one} is a "
+        f"balance, such as that of a volume or a charge, set "
+        f'closed_loop.sites = ["der({unsure[0].state})"], or the unit of {state} in model.units',
     )
 
 

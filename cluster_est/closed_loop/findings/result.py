@@ -76,7 +76,7 @@ class LoopResult(ResultView):
         Estimated standard deviation of each output's noise, in the output's unit. Empty with
         process noise, where the given sigma is used.
     sites
-        All sites at which effects were allowed.
+        The sites that were searched.
     notes
         Notes for the reader, such as no held-out experiment, or a sigma that contradicts the noise.
     simulations

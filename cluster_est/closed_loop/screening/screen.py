@@ -11,6 +11,7 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
+    KinematicDefinition,
     count_candidates,
     open_arguments,
     open_places,
@@ -248,6 +249,8 @@ class CandidateRanking:
     first
         Number of trials whose selection does not depend on the residual. The trials after them
         have later forms, at the leading places. Family-wise tests use only the first trials.
+    sites, definitions
+        The sites that were searched, and the equations of states that count as definitions.
     """
 
     trials: tuple[CandidatePoint, ...]
@@ -260,6 +263,8 @@ class CandidateRanking:
     residual_white: ProjectedResidual = field(repr=False)
     unseen: float = 1.0
     first: int = 0
+    sites: tuple[str, ...] = ()
+    definitions: tuple[KinematicDefinition, ...] = ()
 
     @property
     def count(self) -> int:
@@ -294,7 +299,8 @@ def rank(
     measured values. The criterion of the selection has the penalty for a choice among many.
     """
     trajectories = fitter.trajectories(fitted)
-    candidates, possible = _candidates(fitter, settings, fitted, trajectories, chosen)
+    opened = OpenSites(fitted.problem, fitter.description, trajectories, settings)
+    candidates, possible = _candidates(fitter, opened, fitted, chosen)
     trials = points_of(candidates)
     width = sum(trial.width for trial in trials)
     most = min(SCREENING.most_rows, SCREENING.most_values // max(width, 1))
@@ -327,6 +333,8 @@ def rank(
         residual_white=white,
         unseen=max(possible / max(len(candidates), 1), 1.0),
         first=len(trials),
+        sites=opened.searched,
+        definitions=opened.definitions,
     )
     further = points_of(_beside(fitter, settings, fitted, trajectories, found))
     if not further:
@@ -371,17 +379,13 @@ def _beside(
 
 
 def _candidates(
-    fitter: Fitter,
-    settings: LoopSettings,
-    fitted: FittedModel,
-    trajectories: Sequence[LinearisedTrajectory],
-    chosen: PlaceThresholds,
+    fitter: Fitter, opened: OpenSites, fitted: FittedModel, chosen: PlaceThresholds
 ) -> tuple[list[EffectCandidate], int]:
     """All candidates, or those at leading places if there are many; the number considered."""
     frequencies = _peaks(fitter.records, fitted.residuals)
+    settings, trajectories = opened.settings, opened.trajectories
     given = (fitted.problem, fitter.description, trajectories)
-    opened, arguments = OpenSites(*given, settings), open_arguments(*given)
-    sites = opened.all
+    arguments, sites = open_arguments(*given), opened.all
     forms = {site: opened.forms_at(site) for site in sites}
     everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
     most = chosen.most_candidates

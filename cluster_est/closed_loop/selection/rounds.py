@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.arguments import KinematicDefinition
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
@@ -279,6 +280,19 @@ class SelectionResult:
     @property
     def last(self) -> SelectionRound:
         return self.steps[-1]
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        """The sites that were searched in any round."""
+        return tuple(dict.fromkeys(s for each in self.steps for s in each.screening.ranking.sites))
+
+    @property
+    def definitions(self) -> tuple[KinematicDefinition, ...]:
+        """The equations that counted as definitions in all rounds; none if the user chose sites."""
+        if self.settings.sites or not self.steps:
+            return ()
+        first = self.steps[0].screening.ranking.definitions
+        return tuple(each for each in first if f"der({each.state})" not in self.sites)
 
 
 def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:

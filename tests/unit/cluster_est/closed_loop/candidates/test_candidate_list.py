@@ -8,14 +8,17 @@ from support.problems.seen_springs import with_outputs
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Effect, Input, LoopSettings, Output, Parameter, Solver
+from cluster_est.closed_loop.candidates.arguments import KinematicDefinition
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
+    OpenSites,
     finer_form,
     in_finer_form,
     make_candidates,
     refined,
 )
 from cluster_est.closed_loop.candidates.trajectory import pooled
+from cluster_est.closed_loop.findings.description import taken_for_definitions
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
 from workers.messages import MatrixSeries
@@ -66,6 +69,79 @@ def keyed(candidates):
 def test_what_is_the_integral_of_another_state_by_definition_is_no_site(name, dynamic):
     found = {c.site.target for c in all_of(name) if c.site.kind == "derivative"}
     assert found == dynamic
+
+
+def of_units(own, rate):
+    """The spring's description with other units, its states being x and v."""
+    description, runs = simulated(SPRING)
+    units = {"x": own, "v": rate}
+    variables = {
+        name: replace(v, unit=units.get(name, v.unit)) for name, v in description.variables.items()
+    }
+    return replace(description, variables=variables), runs
+
+
+@pytest.mark.parametrize(
+    ("own", "rate", "certain"),
+    [
+        ("mm", "mm/s", True),
+        ("deg", "deg/s", True),
+        ("rad", "1/s", True),
+        ("", "m/s", True),
+        ("1", "rad/s", True),
+        ("", "", False),
+        ("1", "1/s", False),
+        ("furlong", "", False),
+        ("V", "V/s", False),
+    ],
+)
+def test_the_speed_of_a_position_or_an_angle_is_a_definition(own, rate, certain):
+    description, runs = of_units(own, rate)
+    opened = OpenSites(SPRING, description, runs, LoopSettings())
+    assert [(d.state, d.speed, d.certain) for d in opened.definitions] == [("x", "v", certain)]
+    assert "der(x)" not in opened.searched
+    assert "der(v)" in opened.searched
+    assert bool(taken_for_definitions(opened.definitions)) is not certain
+
+
+@pytest.mark.parametrize(
+    ("own", "rate"),
+    [
+        ("l", "l/s"),
+        ("", "l/s"),
+        ("A.h", "A"),
+        ("V", "A"),
+        ("J", "W"),
+        ("kg", ""),
+        ("K", "K/s"),
+        ("m/s", "m/s2"),
+        ("m", "m3/s"),
+    ],
+)
+def test_the_same_equation_of_another_quantity_is_a_balance(own, rate):
+    description, runs = of_units(own, rate)
+    opened = OpenSites(SPRING, description, runs, LoopSettings())
+    assert not opened.definitions
+    assert "der(x)" in opened.searched
+    found = make_candidates(SPRING, description, runs, [], LoopSettings(forms=("linear",)))
+    assert {"der(x)", "der(v)"} <= sites(found)
+
+
+@pytest.mark.parametrize("site", ["der(x)", "pair x,v"])
+def test_a_definition_that_the_user_names_is_searched(site):
+    description, runs = of_units("", "")
+    settings = LoopSettings(sites=(site,))
+    assert OpenSites(SPRING, description, runs, settings).searched == (site,)
+    assert sites(make_candidates(SPRING, description, runs, [], settings)) == {site}
+
+
+def test_a_note_names_the_equations_that_no_unit_explains():
+    unsure = [KinematicDefinition(f"V{i}", f"q{i}", certain=False) for i in range(6)]
+    (one,) = taken_for_definitions([*unsure[:1], KinematicDefinition("x", "v", certain=True)])
+    assert one.startswith("der(V0) = q0 was taken for the definition of a rate, so no effect was")
+    assert one.endswith('closed_loop.sites = ["der(V0)"], or the unit of V0 in model.units')
+    (many,) = taken_for_definitions(unsure)
+    assert many.startswith("der(V0) = q0, der(V1) = q1, der(V2) = q2, der(V3) = q3 and 2 more were")
 
 
 def test_it_is_one_at_rest_too():
