@@ -40,6 +40,7 @@ enum {
     ENDED_EARLY,
     NO_MEMORY,
     WRONG_SIZES,
+    OUT_OF_STEPS,
     IS_FATAL = 100
 };
 
@@ -107,6 +108,7 @@ typedef struct {
     double rtol, atol;
     const double *atols; /* (x) */
     int64_t max_steps;   /* from one time of the grid to the next */
+    int64_t all_steps;   /* in a whole simulation, if the solver chooses them; 0: no limit */
     double fmu_tolerance, fixed; /* fixed: the only communication step that the FMU takes, or 0 */
 } Settings;
 

@@ -123,7 +123,7 @@ class Settings(_HoldingStructure):
     _fields_ = [
         *_fields(c_double, "step", "rtol", "atol"),
         ("atols", c_void_p),
-        ("max_steps", c_int64),
+        *_fields(c_int64, "max_steps", "all_steps"),
         *_fields(c_double, "fmu_tolerance", "fixed"),
     ]
 
