@@ -108,8 +108,8 @@ typedef struct {
     double rtol, atol;
     const double *atols; /* (x) */
     int64_t max_steps;   /* from one time of the grid to the next */
-    int64_t all_steps;   /* in a whole simulation, if the solver chooses them; 0: no limit */
     double fmu_tolerance, fixed; /* fixed: the only communication step that the FMU takes, or 0 */
+    int64_t all_steps; /* in a whole simulation, if the solver chooses them; 0: no limit */
 } Settings;
 
 /* Effects that act on every point of a batch. */

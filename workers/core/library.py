@@ -123,8 +123,9 @@ class Settings(_HoldingStructure):
     _fields_ = [
         *_fields(c_double, "step", "rtol", "atol"),
         ("atols", c_void_p),
-        *_fields(c_int64, "max_steps", "all_steps"),
+        ("max_steps", c_int64),
         *_fields(c_double, "fmu_tolerance", "fixed"),
+        ("all_steps", c_int64),
     ]
 
 
