@@ -269,12 +269,12 @@ class Fitter:
         model has no limit, and neither has a model whose steps are not counted.
         """
         limits: dict[int, int] = {}
-        for place, steps in enumerate(declared.steps_of_runs):
-            run = self.problem.experiments[self.train[place]]
+        counted = zip(self.train, self.runs, declared.steps_of_runs, strict=False)
+        for place, (index, run, steps) in enumerate(counted):
             samples = len(np.unique(np.concatenate([o.times for o in run.outputs])))
             limit = STEPS_OF_CANDIDATE * max(steps, samples) if steps else 0
-            limits[self.train[place]] = limit
             limits |= {copies[place]: limit for copies in self.synthetic.values()}
+            limits[index] = limit
         return replace(self, step_limits=limits)
 
     @cached_property

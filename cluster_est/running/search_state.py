@@ -349,6 +349,8 @@ class PendingTasks:
         if self._known_bytes + size > MEMORY_BYTES:
             self.forget()
         self._known[question] = outcome
+        if outcome.ok:  # without a step limit, its bits would be the same
+            self._known[(*question[:-1], 0)] = outcome
         self._known_bytes += size
 
     def forget(self) -> None:

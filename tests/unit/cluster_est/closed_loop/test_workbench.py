@@ -164,8 +164,10 @@ def test_a_candidate_far_more_expensive_than_the_declared_model_fails(bench, dec
     assert usual.ok
     assert usual.steps > 601 * 0.15 * 2
     assert "the simulation reached its limit of " in held.reason
-    (free,), _ = bench.fitter.evaluate(LoopStage.TRIALS, [points[0], points[0]])
+    before = fitter.runner.simulations
+    ((free,),) = bench.fitter.evaluate(LoopStage.TRIALS, points[:1])
     assert np.array_equal(free.residuals, usual.residuals)
+    assert fitter.runner.simulations == before  # a limit that was not reached changes nothing
 
 
 def test_a_limit_of_candidates_is_none_of_the_declared_model(bench, declared):
