@@ -113,11 +113,12 @@ class Evaluator:
         """Answer every task of a batch, in the same order."""
         process = os.getpid()
         answers: dict[int, Outcome] = {}
-        positions: dict[int, list[int]] = {}
-        for position, experiment in enumerate(batch.experiments.tolist()):
-            positions.setdefault(experiment, []).append(position)
-        for experiment in sorted(positions):
-            for part in self._parts(experiment, positions[experiment]):
+        positions: dict[tuple[int, int], list[int]] = {}
+        pairs = zip(batch.experiments.tolist(), batch.step_limits.tolist(), strict=True)
+        for position, pair in enumerate(pairs):
+            positions.setdefault(pair, []).append(position)
+        for (experiment, _), chosen in sorted(positions.items()):
+            for part in self._parts(experiment, chosen):
                 outcomes = self._simulate(experiment, part, batch)
                 if os.getpid() != process:  # the FMU has forked; the copy must not answer
                     os._exit(1)
@@ -151,13 +152,14 @@ class Evaluator:
         simulations = {
             "linearisation": self._simulator.linearise,
             "sensitivities": self._simulator.sensitivities,
-            "trajectory": self._simulator.run,
         }
         if batch.want in simulations:
             result = simulations[batch.want](experiment, values, batch.effects)
         else:
-            bounds = batch.bounds[part] if self._comparisons[experiment].is_plain else None
-            result = self._simulator.run(experiment, values, batch.effects, bounds)
+            bounded = self._comparisons[experiment].is_plain and batch.want != "trajectory"
+            bounds = batch.bounds[part] if bounded else None
+            limit = int(batch.step_limits[part[0]])
+            result = self._simulator.run(experiment, values, batch.effects, bounds, limit)
         simulated = SimulatedOutputs(bound.grid.times, bound.outputs, result.outputs, values)
         comparison = self._comparisons[experiment].compare(simulated)
         if result.innovations:

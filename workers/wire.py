@@ -30,8 +30,8 @@ class TaskBatch:
     values : (n, k)
     want, effects
         The same for all tasks of the batch.
-    bounds : (n,)
-        Bound of each task.
+    bounds, step_limits : (n,)
+        Bound and step limit of each task.
     """
 
     ids: IntArray
@@ -40,6 +40,7 @@ class TaskBatch:
     want: Want
     effects: tuple[Effect, ...]
     bounds: FloatArray
+    step_limits: IntArray
 
     @classmethod
     def of(cls, tasks: Sequence[Task]) -> TaskBatch:
@@ -63,13 +64,15 @@ class TaskBatch:
             want=first.want,
             effects=first.effects,
             bounds=np.array([task.bound for task in tasks], np.float64),
+            step_limits=np.array([task.step_limit for task in tasks], np.int64),
         )
 
     def tasks(self) -> list[Task]:
-        columns = self.ids.tolist(), self.experiments.tolist(), self.values, self.bounds.tolist()
+        columns = self.ids, self.experiments, self.bounds, self.step_limits
+        rows = zip(*(column.tolist() for column in columns), self.values, strict=True)
         return [
-            Task(i, experiment, values, self.want, self.effects, bound)
-            for i, experiment, values, bound in zip(*columns, strict=True)
+            Task(i, experiment, values, self.want, self.effects, bound, limit)
+            for i, experiment, bound, limit, values in rows
         ]
 
 

@@ -29,6 +29,12 @@ SAMPLES_KEPT = 12
 """Smallest number of samples of each output that a shortened copy keeps."""
 
 
+STEPS_OF_CANDIDATE = 100
+"""Limit of the solver steps of a simulation with added effects, relative to those of the declared
+model or to the number of samples, whichever is larger. A fast effect needs about one step for each
+of its time constants. If this is a hundredth of the sampling interval, the data cannot show it."""
+
+
 @dataclass(frozen=True)
 class ShortenedCopy:
     """The first part of an experiment, as a share of its record."""
@@ -112,8 +118,8 @@ class FittedModel:
         The effects that the search has added, in order.
     converged
         Whether the fit has ended by its tolerances.
-    steps
-        Number of solver steps in one simulation of every training experiment; 0 if they are not
+    steps_of_runs
+        Number of solver steps in the simulation of each experiment of the space; 0 if they are not
         counted.
     """
 
@@ -123,7 +129,12 @@ class FittedModel:
     jacobian: FloatArray = field(repr=False)
     added: tuple[EffectCandidate, ...] = ()
     converged: bool = False
-    steps: int = 0
+    steps_of_runs: tuple[int, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Number of solver steps in one simulation of every experiment of the space."""
+        return sum(self.steps_of_runs)
 
     @property
     def problem(self) -> Problem:
@@ -233,6 +244,8 @@ class Fitter:
         By output, if records are thinned: the noise of the samples before thinning, in its unit.
     sigma_declared
         Whether the user has given a sigma for any output.
+    step_limits
+        Step limit of simulations with added effects, by experiment; see `limited_by`.
     """
 
     runner: Runner
@@ -246,6 +259,23 @@ class Fitter:
     meter: SimulationMeter
     noise_of_samples: Mapping[str, float]
     sigma_declared: bool
+    step_limits: Mapping[int, int] = field(default_factory=dict)
+
+    def limited_by(self, declared: FittedModel) -> Fitter:
+        """Return a fitter with step limits for simulations with effects that the search adds.
+
+        For example, a fitted exponent may make the slope of a term infinite at 0. Then one
+        simulation may need millions of steps. Beyond the limit it counts as failed. The declared
+        model has no limit, and neither has a model whose steps are not counted.
+        """
+        limits: dict[int, int] = {}
+        counted = zip(self.train, self.runs, declared.steps_of_runs, strict=False)
+        for place, (index, run, steps) in enumerate(counted):
+            samples = len(np.unique(np.concatenate([o.times for o in run.outputs])))
+            limit = STEPS_OF_CANDIDATE * max(steps, samples) if steps else 0
+            limits |= {copies[place]: limit for copies in self.synthetic.values()}
+            limits[index] = limit
+        return replace(self, step_limits=limits)
 
     @cached_property
     def predicts(self) -> bool:
@@ -348,7 +378,7 @@ class Fitter:
     ) -> list[FittedModel | None]:
         """Fit several models in one queue; None for a model that cannot be simulated."""
         spaces = [self._begun(self.space(start, kind)) for start in starts]
-        requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
+        requests = [self.request(stage, method, space) for space in spaces]
         fitted: list[FittedModel | None] = []
         for start, space, found in zip(starts, spaces, self.runner.run(requests), strict=True):
             if found.at is None or found.jacobian is None or not found.at.ok:
@@ -362,10 +392,16 @@ class Fitter:
                     found.jacobian,
                     start.added,
                     found.ending is Ending.CONVERGED,
-                    found.at.steps,
+                    tuple(outcome.steps for outcome in found.at.outcomes),
                 )
             )
         return fitted
+
+    def request(self, stage: LoopStage, method: Method, space: SearchSpace) -> SearchRequest:
+        """Make the request of a parameter search, with step limits if it has added effects."""
+        added = space.problem.effects != self.problem.effects
+        limits = self.step_limits if added else {}
+        return SearchRequest(stage.value, method, space, self.seed, limits)
 
     def _begun(self, space: SearchSpace) -> SearchSpace:
         """Return the space with the best start values of unknown scales and offsets of sensors."""
@@ -375,9 +411,7 @@ class Fitter:
         self, stage: LoopStage, points: Sequence[tuple[SearchSpace, FloatArray]]
     ) -> list[tuple[Evaluation, ...]]:
         """Evaluate points of several spaces, all in one queue."""
-        requests = [
-            SearchRequest(stage.value, GivenPoints(x, stage.value), space) for space, x in points
-        ]
+        requests = [self.request(stage, GivenPoints(x, stage.value), space) for space, x in points]
         return [solution.evaluations for solution in self.runner.run(requests)]
 
     def simulate(

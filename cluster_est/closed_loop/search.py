@@ -126,6 +126,7 @@ def search_for_effects(
     with_effects = partial(
         error_with_effects, fitter, declared=error, noise=noise, resources=resources
     )
+    fitter = fitter.limited_by(base)
     before = fitter.runner.failures
     faults = _record_faults(fitter, base, resources)
     said = "; ".join(each.sentence for each in faults)

@@ -25,14 +25,18 @@ def simulation_key(
     effects: tuple[Effect, ...],
     values: FloatArray,
     bound: float = math.inf,
+    step_limit: int = 0,
 ) -> str:
     """Return the hash of all data that affect a simulation's outcome.
 
-    `bound` is the sum of squares above which the simulation ends early.
+    `bound` is the sum of squares above which the simulation ends early; for `step_limit` see
+    `Task`.
     """
     parts: list[str | bytes] = [model_key, experiment_key, repr(effects), values.tobytes()]
     if bound < math.inf:
         parts.append(bound.hex())
+    if step_limit:
+        parts.append(f"{step_limit} steps")
     return content_hash(parts)
 
 
@@ -150,4 +154,6 @@ class LogReplayExecutor(Executor):
 
     def _key(self, task: Task) -> str:
         experiment = self._experiment_keys[task.experiment]
-        return simulation_key(self._model_key, experiment, task.effects, task.values, task.bound)
+        return simulation_key(
+            self._model_key, experiment, task.effects, task.values, task.bound, task.step_limit
+        )

@@ -67,8 +67,8 @@ def batch_of(
     paths = [outcome.trajectory if kept else None for outcome, kept in pairs]
     names = [origin.installed or experiments[origin.task.experiment] for origin in origins]
     keys = [
-        simulation_key(model_key, key, origin.task.effects, origin.task.values, origin.task.bound)
-        for origin, (_, key) in zip(origins, names, strict=True)
+        simulation_key(model_key, key, task.effects, task.values, task.bound, task.step_limit)
+        for task, (_, key) in zip([origin.task for origin in origins], names, strict=True)
     ]
     columns = [
         pa.array(keys),

@@ -6,7 +6,7 @@ progress or its outcome is cached.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -82,11 +82,12 @@ OUTCOME_BYTES = 800
 MOST_NAMED_VALUES = 1000
 """Largest number of unknowns for which the iteration table has the values of the best point."""
 
-Question = tuple[int, bytes, tuple[Effect, ...], Want, float]
-"""Key of a simulation: experiment, values, effects, wanted result, and bound of the early end.
+Question = tuple[int, bytes, tuple[Effect, ...], Want, float, int]
+"""Key of a simulation: experiment, values, effects, wanted result, bound of the early end, and step
+limit.
 
-An outcome answers only questions with the same wanted result and bound. Otherwise the bits of a
-result would depend on the order of the simulations."""
+An outcome answers only questions with the same wanted result, bound and limit. Otherwise the bits
+of a result would depend on the order of the simulations."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +95,14 @@ class SearchRequest:
     """A request to search a space with a method.
 
     `name` identifies the search in the log. `seed` is the seed of the method's random generator.
+    `step_limits` has the step limits of simulations by experiment; see `Task`.
     """
 
     name: str
     method: Method
     space: SearchSpace
     seed: int = 0
+    step_limits: Mapping[int, int] = field(default_factory=dict)
 
 
 def suited(space: SearchSpace, method: Method) -> SearchSpace:
@@ -277,14 +280,14 @@ class PendingTasks:
     ) -> Task:
         """Return a new task for a simulation outside any search; the caller submits it."""
         return self._make(
-            (experiment, values.tobytes(), effects, want, np.inf), values, name, 0, want
+            (experiment, values.tobytes(), effects, want, np.inf, 0), values, name, 0, want
         )
 
     def _make(
         self, question: Question, values: FloatArray, name: str, index: int, purpose: str
     ) -> Task:
-        experiment, _, effects, want, bound = question
-        task = Task(self._next_task, experiment, values, want, effects, bound)
+        experiment, _, effects, want, bound, limit = question
+        task = Task(self._next_task, experiment, values, want, effects, bound, limit)
         self._next_task += 1
         self._under_way[task.id] = _AskedTask(TaskOrigin(task, name, index, purpose), question)
         return task
@@ -317,7 +320,8 @@ class PendingTasks:
         space = search.request.space
         effects, want = space.problem.effects, space.wants[place]
         want = "sensitivities" if search.sensitivities else want
-        question = (experiment, values.tobytes(), effects, want, bound)
+        limit = search.request.step_limits.get(experiment, 0)
+        question = (experiment, values.tobytes(), effects, want, bound, limit)
         if (known := self._known.get(question)) is not None:
             _place(slot, known)
             return None
@@ -345,6 +349,8 @@ class PendingTasks:
         if self._known_bytes + size > MEMORY_BYTES:
             self.forget()
         self._known[question] = outcome
+        if outcome.ok:  # without a step limit, its bits would be the same
+            self._known[(*question[:-1], 0)] = outcome
         self._known_bytes += size
 
     def forget(self) -> None:

@@ -40,6 +40,7 @@ enum {
     ENDED_EARLY,
     NO_MEMORY,
     WRONG_SIZES,
+    OUT_OF_STEPS,
     IS_FATAL = 100
 };
 
@@ -108,6 +109,7 @@ typedef struct {
     const double *atols; /* (x) */
     int64_t max_steps;   /* from one time of the grid to the next */
     double fmu_tolerance, fixed; /* fixed: the only communication step that the FMU takes, or 0 */
+    int64_t all_steps; /* in a whole simulation, if the solver chooses them; 0: no limit */
 } Settings;
 
 /* Effects that act on every point of a batch. */

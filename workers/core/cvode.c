@@ -260,7 +260,6 @@ static End along_grid(Run *run, double *y) {
     const Model *c = &w->model;
     const Batch *b = w->batch;
     const size_t last = c->n_times - 1, n = c->n_states;
-    const int64_t most = b->settings->max_steps;
     int64_t all_steps = 0;
     for (size_t i = 0;; i++, y += c->n_outputs) {
         const double time = has_reached(run, c->times[i]) ? run->time : c->times[i];
@@ -273,9 +272,10 @@ static End along_grid(Run *run, double *y) {
         if (b->states_out) memcpy(b->states_out + i * n, w->x, n * sizeof(double));
         if (i == last) break;
         if (i == run->next_stop) set_next_stop(run, i);
-        run->left = most;
+        const int64_t granted = run->left = steps_granted(b->settings, all_steps);
         code = advance_to(run, i + 1);
-        all_steps += most - run->left;
+        all_steps += granted - run->left;
+        code = limit_reached(b->settings, all_steps, code);
         if (code != FINISHED) return (End){code, run->time, i};
     }
     c->progress[STEPS] = all_steps;

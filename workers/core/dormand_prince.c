@@ -213,10 +213,10 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
     const double *const t = c->times;
     const uint8_t *const passed = w->batch->experiment->passed;
     const size_t last = c->n_times - 1;
-    const int64_t most = w->batch->settings->max_steps;
+    const Settings *const settings = w->batch->settings;
     const int bounded = w->bound < HUGE_VAL, quiet = is_quiet(c);
     int64_t all_steps = 0;
-    Stepping now = {t[0], 0.0, most};
+    Stepping now = {t[0], 0.0, 0};
     int code = start_simulation(w, point);
     if (code != FINISHED) return (End){code, now.time, 0};
     take_back(c, s, w);
@@ -230,7 +230,7 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
             return (End){failed(OUTPUT_FAILED, status), now.time, i};
         if (bounded && is_above_bound(w, i, y)) return (End){ENDED_EARLY, now.time, i};
         if (i == last) break;
-        now.left = most;
+        const int64_t granted = now.left = steps_granted(settings, all_steps);
         Passing passing = {i + 1, i + 1, y + c->n_outputs};
         while (passed[passing.end] && t[passing.end + 1] < quiet_end) passing.end++;
         if (LIKELY(t[i + 1] < quiet_end)) {
@@ -243,8 +243,9 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
             take_back(c, s, w);
             if (quiet) quiet_end = quiet_until(w);
         }
+        all_steps += granted - now.left;
+        code = limit_reached(settings, all_steps, code);
         if (UNLIKELY(code != FINISHED)) return (End){code, now.time, i};
-        all_steps += most - now.left;
     }
     c->progress[STEPS] = all_steps;
     return (End){FINISHED, now.time, last};

@@ -5,8 +5,8 @@ from __future__ import annotations
 (
     FINISHED, INITIALISATION, STEP, OUTPUT, STEP_TOO_SMALL, TOO_MANY_STEPS, NOT_FINITE, EVENT,
     TERMINATED, LINEARISATION, CHATTERING, DISCARDED, PENDING, SENSITIVITIES, HAS_EVENTS,
-    ENDED_EARLY, NO_MEMORY, WRONG_SIZES,
-) = range(18)  # fmt: skip
+    ENDED_EARLY, NO_MEMORY, WRONG_SIZES, OUT_OF_STEPS,
+) = range(19)  # fmt: skip
 FATAL = 100
 """Added to a code after a fatal status: the instance must not be called again."""
 DISCARD_STATUS, FATAL_STATUS = 2, 4
@@ -31,6 +31,7 @@ MESSAGES = {
     NO_MEMORY: "there was not enough memory",
     WRONG_SIZES: "the FMU, its effects and the experiment have different numbers of states and "
     "inputs, which is a fault of cluster-est",
+    OUT_OF_STEPS: "the simulation reached its limit of {limit} steps",
 }
 
 SUGGEST_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)

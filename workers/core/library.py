@@ -125,6 +125,7 @@ class Settings(_HoldingStructure):
         ("atols", c_void_p),
         ("max_steps", c_int64),
         *_fields(c_double, "fmu_tolerance", "fixed"),
+        ("all_steps", c_int64),
     ]
 
 

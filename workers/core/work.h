@@ -105,6 +105,15 @@ int is_above_bound(Work *w, size_t i, const double *y);
 int64_t n_steps(double length, double longest, int64_t limit);
 /* Classic Runge-Kutta steps for a rate, where nothing else controls the error. */
 int64_t substep_count(double length, double rate);
+/* Steps that may be taken to the next time of the grid after `taken` steps. */
+static inline int64_t steps_granted(const Settings *s, int64_t taken) {
+    const int64_t rest = s->all_steps - taken;
+    return s->all_steps > 0 && rest < s->max_steps ? rest : s->max_steps;
+}
+/* The code of a part of a simulation after `taken` steps: which of the two limits ended it. */
+static inline int limit_reached(const Settings *s, int64_t taken, int code) {
+    return code == TOO_MANY_STEPS && s->all_steps > 0 && taken >= s->all_steps ? OUT_OF_STEPS : code;
+}
 /* Say in a batch how the simulation of point p ended; returns the code. */
 int put_end(const Batch *batch, size_t p, End end);
 

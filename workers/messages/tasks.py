@@ -39,6 +39,10 @@ class Task:
         Sum of squared residuals above which the result is not needed. As soon as the sum so far
         exceeds it, the simulation may end with `Status.ENDED_EARLY`. It does so if all outputs are
         plain and no effects act; otherwise it continues to its end.
+    step_limit
+        Number of solver steps after which the simulation fails; 0 for no limit. It applies to
+        solvers that choose their steps ("dormand_prince", "cvode"), to simulations without process
+        noise, and not if a linearisation or sensitivities are wanted.
     """
 
     id: int
@@ -47,6 +51,7 @@ class Task:
     want: Want = "residuals"
     effects: tuple[Effect, ...] = ()
     bound: float = math.inf
+    step_limit: int = 0
 
 
 @dataclass(frozen=True, slots=True)

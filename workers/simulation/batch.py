@@ -100,6 +100,8 @@ class BatchRun:
         Values of the parameters.
     bounds : (points,)
         Sums of squares above which simulations end early; None for no bounds.
+    step_limit
+        Number of steps after which a simulation fails; 0 for no limit.
 
     Attributes
     ----------
@@ -113,8 +115,10 @@ class BatchRun:
         values: FloatArray,
         effects: Effects,
         bounds: FloatArray | None = None,
+        step_limit: int = 0,
     ) -> None:
         self.bound, self.effects, self.values = bound, effects, values
+        self.step_limit = step_limit
         count, given = values.shape
         rows = np.array(values, np.float64, order="C")
         if len(bound.known_values) > 0:

@@ -83,6 +83,7 @@ class FmuIntegrator:
         effects: Effects = NO_EFFECTS,
         loop: Loop | None = None,
         bounds: FloatArray | None = None,
+        step_limit: int = 0,
     ) -> SimulationBatch:
         """Simulate an experiment for many points.
 
@@ -98,8 +99,11 @@ class FmuIntegrator:
             Replaces the solver's loop.
         bounds : (points,)
             Sums of squared residuals above which simulations end early; None for no bounds.
+        step_limit
+            Number of steps after which a simulation fails, if the solver chooses its steps; 0 for
+            no limit.
         """
-        run = BatchRun(bound, values, effects, bounds)
+        run = BatchRun(bound, values, effects, bounds, step_limit)
         loop = self.loop if loop is None else loop
         point = 0
         while point < len(values):
@@ -226,8 +230,10 @@ class FmuIntegrator:
         if states not in self._settings:
             self._settings[states] = self._make_settings(states)
         settings, fixed = self._settings[states], run.bound.communication
-        if fixed is not None:
+        if fixed is not None or run.step_limit:
             settings = Settings.from_buffer_copy(settings)
+            settings.all_steps = run.step_limit
+        if fixed is not None:
             settings.step, settings.fixed = fixed.max_step, fixed.step
         return settings
 
@@ -273,7 +279,7 @@ class FmuIntegrator:
         if last > first and self.instance.log and code != failure.ENDED_EARLY:
             following = last  # repeat it alone: the log may contain messages of other points
         else:
-            run.result.messages[last] = self._explain(code, float(run.stopped_at[last]))
+            run.result.messages[last] = self._explain(run, code, last)
         if code >= failure.FATAL:
             self.instance.replace()
         if code % failure.FATAL != failure.INITIALISATION:
@@ -300,9 +306,10 @@ class FmuIntegrator:
                 os._exit(0)
             self._progress[RUNNING] = 0
 
-    def _explain(self, code: int, time: float) -> str:
+    def _explain(self, run: BatchRun, code: int, point: int) -> str:
         log = " | ".join(dict.fromkeys(self.instance.log)) if code != failure.ENDED_EARLY else ""
-        message = f"{failure.MESSAGES[code % failure.FATAL]} at t = {time:.9g} s"
+        said = failure.MESSAGES[code % failure.FATAL].format(limit=run.step_limit)
+        message = f"{said} at t = {run.stopped_at[point]:.9g} s"
         if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
             message += (
                 '; if the model is stiff, set model.solver = "cvode", which can continue with '

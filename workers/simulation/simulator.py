@@ -98,6 +98,7 @@ class Simulator:
         points: FloatArray,
         effects: tuple[Effect, ...] = (),
         bounds: FloatArray | None = None,
+        step_limit: int = 0,
     ) -> SimulationBatch:
         """Simulate one experiment for many points.
 
@@ -113,6 +114,8 @@ class Simulator:
         bounds : (points,)
             Sums of squared residuals above which simulations end early, if no effects act and the
             FMU communicates at all times of the grid; None for no bounds.
+        step_limit
+            See `Task`.
 
         Raises
         ------
@@ -124,10 +127,12 @@ class Simulator:
         count = len(self._model.parameters)
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
-            return self._integrator.run(bound, values, bounds=bounds)
+            return self._integrator.run(bound, values, bounds=bounds, step_limit=step_limit)
         batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
         for rows, active in self._bindings.groups(effects, coefficients):
-            run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)
+            run = self._run_with_effects(
+                experiment, values[rows], coefficients[rows], active, step_limit
+            )
             batch.outputs[rows], batch.codes[rows] = run.outputs, run.codes
             batch.steps[rows] = run.steps
             for position, row in enumerate(rows.tolist()):
@@ -294,6 +299,7 @@ class Simulator:
         values: FloatArray,
         coefficients: FloatArray,
         active: list[tuple[EffectDefinition, int]],
+        step_limit: int,
     ) -> SimulationBatch:
         """Simulate a group of points with the same active effects."""
         without_effects = self._bound[experiment]
@@ -301,7 +307,7 @@ class Simulator:
         if noise:
             return self._run_filtered(experiment, values, coefficients, active, noise)
         if not active:
-            return self._integrator.run(without_effects, values)
+            return self._integrator.run(without_effects, values, step_limit=step_limit)
         bound_effects, bound = self._bindings.bind(experiment, active, coefficients.shape[1])
         batch = SimulationBatch.empty(
             len(values), len(without_effects.grid.times), len(without_effects.outputs)
@@ -321,7 +327,7 @@ class Simulator:
             effects = bound_effects.at_points(
                 values[chunk], coefficients[chunk], self._model, self._description
             )
-            run = self._integrator.run(bound, values[chunk], effects)
+            run = self._integrator.run(bound, values[chunk], effects, step_limit=step_limit)
             for p, outputs in enumerate(run.outputs):
                 bound_effects.apply_to_outputs(bound.grid, outputs, coefficients[chunk][p])
             kept = _kept(bound, without_effects)

@@ -33,7 +33,6 @@ from cluster_est.methods.least_squares.linear_map import StepSolver
 from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.initial_errors import is_start_value
-from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray, IntArray, Output
 from workers.messages.types import by_content
 
@@ -138,8 +137,8 @@ def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
         held[:] = [is_start_value(u.parameter, fitter.description) for u in unknowns]
     refits = [RefitWithoutPart(fitted.residuals, fitted.jacobian, part, held) for part in parts]
     space = fitted.space.starting_at(fitted.x)
-    stage = LoopStage.LEAVE_ONE_OUT.value
-    found = fitter.runner.run([SearchRequest(stage, refit, space, fitter.seed) for refit in refits])
+    stage = LoopStage.LEAVE_ONE_OUT
+    found = fitter.runner.run([fitter.request(stage, refit, space) for refit in refits])
     return LeaveOneOutPrediction(np.array([end.cost for end in found]), quarters=not whole)
 
 

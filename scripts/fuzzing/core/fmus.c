@@ -280,7 +280,7 @@ static void check_end(const Asked *a, size_t p, int is_last) {
     const Batch *const b = &a->batch;
     const Experiment *const e = &a->experiment;
     const int64_t code = b->codes[p] % IS_FATAL;
-    if (b->codes[p] < 0 || code > WRONG_SIZES || code == WRONG_SIZES || code == NO_MEMORY)
+    if (b->codes[p] < 0 || code > OUT_OF_STEPS || code == WRONG_SIZES || code == NO_MEMORY)
         found("a code that is none");
     if (b->codes[p] >= IS_FATAL && stub.worst < 4) found("a fatal end without a fatal status");
     if (a->what == CASE_KNOWN) return; /* which returns a status */

@@ -11,7 +11,17 @@ from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
 from workers import evaluate
 from workers.evaluate import Evaluator
-from workers.messages import Experiment, Input, Interface, Model, Output, Solver, Status, Task
+from workers.messages import (
+    Effect,
+    Experiment,
+    Input,
+    Interface,
+    Model,
+    Output,
+    Solver,
+    Status,
+    Task,
+)
 from workers.wire import TaskBatch
 
 SOLVERS: dict[str, tuple[Interface, Solver]] = {
@@ -170,6 +180,36 @@ def test_equal_steps_are_as_many_as_fit():
 def test_a_stiffer_spring_takes_more_steps(solver):
     soft, stiff = ask(evaluator(solver), [(0, np.array([1.0, 25.0])), (0, np.array([1.0, 1e6]))])
     assert stiff.steps > 5 * soft.steps
+
+
+PULL = Effect("pull", "der(v)", equation="-k*x", coefficients=(("k", 0.0),))
+
+
+@pytest.mark.parametrize("effects", [(), (PULL,)])
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_a_step_limit_ends_a_simulation_that_needs_more_steps(solver, effects):
+    points = [np.array([1.0, k, *(9.0 for _ in effects)]) for k in (25.0, 1e6)]
+
+    def answers(*limits):
+        tasks = [Task(i, 0, points[p], "residuals", effects, step_limit=n) for i, (p, n) in limits]
+        return evaluator(solver).evaluate(TaskBatch.of(tasks))
+
+    soft, stiff = answers(*enumerate([(0, 0), (1, 0)]))
+    most = soft.steps
+    kept, ended, free, less = answers(*enumerate([(0, most), (1, most), (1, 0), (0, most - 1)]))
+    assert (bits(kept), bits(free)) == (bits(soft), bits(stiff))
+    assert (kept.steps, free.steps) == (most, stiff.steps)
+    for outcome, limit in ((ended, most), (less, most - 1)):
+        assert outcome.status is Status.SOLVER_FAILURE
+        said = rf"the simulation reached its limit of {limit} steps at t = \S+ s$"
+        assert re.fullmatch(said, outcome.message)
+
+
+@pytest.mark.parametrize("solver", ["rk4", "fmu"])
+def test_given_steps_have_no_limit_of_their_number(solver):
+    tasks = [Task(0, 0, POINTS[0]), Task(1, 0, POINTS[0], step_limit=1)]
+    plain, limited = evaluator(solver).evaluate(TaskBatch.of(tasks))
+    assert bits(limited) == bits(plain)
 
 
 @pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])

@@ -12,7 +12,8 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import Experiment, LeastSquares, LoopSettings, Output, close_loop
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.fitter import SAMPLES_KEPT, FitStart
+from cluster_est.closed_loop.fitter import ENLARGED, SAMPLES_KEPT, SHORTENED, FitStart
+from cluster_est.closed_loop.selection.starts import BRIEF
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 
@@ -142,6 +143,45 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
     fits = bench.fitter.fit(LoopStage.REFITS, [good, FitStart(broken, {}), good], method)
     assert [fit is None for fit in fits] == [False, True, False]
     assert fits[0].x.tobytes() == fits[2].x.tobytes()
+
+
+@pytest.fixture(scope="module")
+def declared(bench):
+    fitter = bench.fitter
+    (fit,) = fitter.fit(LoopStage.DECLARED_MODEL, [FitStart(fitter.problem, {})], BRIEF)
+    return fit
+
+
+@pytest.mark.parametrize("kind", [None, *SHORTENED, ENLARGED])
+def test_a_candidate_far_more_expensive_than_the_declared_model_fails(bench, declared, kind):
+    """Its friction holds the mass at a rate of 1e6 per second, and the data have 100 samples."""
+    _, found = candidates(bench)
+    starts = [declared.start.plus(found["coulomb"], (k, 1e-3)) for k in (0.3, 1000.0)]
+    fitter = bench.fitter.limited_by(declared)
+    spaces = [fitter.space(start, kind) for start in starts]
+    points = [(space, space.start[None, :]) for space in spaces]
+    (usual,), (held,) = fitter.evaluate(LoopStage.TRIALS, points)
+    assert usual.ok
+    assert usual.steps > 601 * 0.15 * 2
+    assert "the simulation reached its limit of " in held.reason
+    before = fitter.runner.simulations
+    ((free,),) = bench.fitter.evaluate(LoopStage.TRIALS, points[:1])
+    assert np.array_equal(free.residuals, usual.residuals)
+    assert fitter.runner.simulations == before  # a limit that was not reached changes nothing
+
+
+def test_a_limit_of_candidates_is_none_of_the_declared_model(bench, declared):
+    fitter = replace(bench.fitter, step_limits=dict.fromkeys(bench.fitter.train, 1))
+    again = fitter.fit(LoopStage.DECLARED_MODEL, [FitStart(fitter.problem, {})], BRIEF)
+    assert again[0].steps == declared.steps > 0
+    _, found = candidates(bench)
+    start = declared.start.plus(found["coulomb"], (0.3, 0.1))
+    assert fitter.fit(LoopStage.REFITS, [start], BRIEF) == [None]
+
+
+def test_uncounted_steps_have_no_limit(bench, declared):
+    uncounted = replace(declared, steps_of_runs=(0, 0))
+    assert not any(bench.fitter.limited_by(uncounted).step_limits.values())
 
 
 @pytest.mark.parametrize("parts", [0, 1])
