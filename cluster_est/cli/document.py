@@ -111,6 +111,7 @@ _OF_RUN = (
         "object",
         "rows of the other tables of the run that `show` prints, by name of the table",
     ),
+    DocumentField("next", "list", "next steps: each `text`, and its `command` for a shell"),
     DocumentField("facts", "object", "contents of run.json"),
 )
 _WRITTEN = DocumentField("out", "text", "path that was written")

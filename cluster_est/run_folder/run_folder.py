@@ -231,7 +231,7 @@ class RunFolder:
         write_run_columns(path, table.replace_schema_metadata(metadata), MAKE_ROOM_AND_RESUME)
 
     def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
-        base = self._identity.base
+        base, file = self._identity.base, self._identity.config_file
         facts = {
             "format": FORMAT,
             "status": status,
@@ -241,6 +241,7 @@ class RunFolder:
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
             "config_hash": self._config_hash,
             "config_folder": "" if base is None else str(base.resolve()),
+            "config_file": "" if file is None else str(file.resolve()),
             "fmu": {
                 "name": self._problem.model.name,
                 "sha256": self._problem.model.archive_hash,

@@ -49,7 +49,9 @@ def test_what_speaks_against_an_effect_makes_its_claim_less_sure(known, worse):
 def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
     assert sure.probability == pytest.approx(39 / 42)
-    assert sure.sentence.endswith(f"of 40 similar claims in the benchmark, 38 were right {AGREEING}")
+    assert sure.sentence.endswith(
+        f"of 40 similar claims in the benchmark, 38 were right {AGREEING}"
+    )
 
 
 AGREEING = "(a law that agrees with the true one on the data counts as right)"
