@@ -43,7 +43,7 @@ from cluster_est.toml import dotted
 from cluster_est.whole_files import is_sealed
 from workers.fmu.description import nearest
 from workers.messages import Value
-from workers.messages.checks import as_path, as_tuple, shown
+from workers.messages.checks import as_path, as_tuple, shown, told_apart
 
 VALUE_FILES = "value_files"
 
@@ -235,9 +235,10 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
             )
     start, stop = experiment.start, experiment.stop
     if start is not None and stop is not None and not start < stop:
+        begin, end = told_apart(start, stop)
         yield (
-            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
-            "one of them"
+            f"{where}.start: must be before stop, which is {end} s, but is {begin} s; change one "
+            "of them"
         )
     for key in ("windows", "test_windows"):
         for i, (first, last) in enumerate(getattr(experiment, key)):

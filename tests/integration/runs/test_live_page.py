@@ -348,6 +348,27 @@ def test_runs_of_a_folder_stand_side_by_side(ended, configured, tmp_path):
             assert b"has no run" in content
 
 
+def test_a_folder_of_runs_is_one_document(ended, configured, tmp_path, capsys):
+    shutil.copytree(ended, tmp_path / "a")
+    shutil.copytree(configured, tmp_path / "b")
+    change_facts(tmp_path / "b", status="running")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "run.json").write_text("{")
+    assert main(["watch", str(tmp_path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    a, b, broken = told["runs"]
+    assert told["run"] == str(tmp_path)
+    assert (a["name"], a["status"], b["name"], b["status"]) == ("a", "done", "b", "running")
+    assert a["cost"] == json.loads((ended / "run.json").read_text())["cost"]
+    assert set(b["values"]) == {"m", "k", "c", "x0[exp5]"}
+    assert (broken["name"], broken["status"]) == ("broken", "unreadable")
+    assert [said.partition(":")[0] for said in told["sentences"]] == ["a", "b", "broken"]
+    assert main(["watch", str(ended), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"] is None
+    (tmp_path / "empty").mkdir()
+    assert main(["watch", str(tmp_path / "empty"), "--json"]) == 2
+
+
 def test_a_run_that_has_not_begun_is_waited_for(tmp_path):
     with LivePage(tmp_path / "run") as page:
         assert Visitor(page).state()["status"] == "starting"
