@@ -365,10 +365,14 @@ def _by_run(
 
 
 def _short_names(runs: Sequence[ListedRun]) -> dict[str, str]:
-    """Return the values of each run on the sweep's axes, or its name, by its name."""
+    """Return the values of each run on the sweep's axes, by its name; its name if they repeat."""
     axes = _axes(runs)
     choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in runs]
-    return {run.name: own or run.name for own, run in zip(choices, runs, strict=True)}
+    often = Counter(choices)
+    return {
+        run.name: own if own and often[own] == 1 else run.name
+        for own, run in zip(choices, runs, strict=True)
+    }
 
 
 def _axes(runs: Sequence[ListedRun]) -> list[str]:

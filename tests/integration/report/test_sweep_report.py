@@ -225,6 +225,8 @@ def test_only_runs_on_the_same_data_are_compared(fits, tmp_path):
     assert len(re.findall(r"The 2 runs with [ab] (dis)?agree", text)) == 2
     assert "The runs agree" not in text
     assert "Errors of the runs, by their data" in text
+    figure = Figures(sweep / "report.html").by_id("errors-of-runs")
+    assert {each["run"] for each in listed} <= {*figure.texts}  # not "all" and "one" twice
     assert "The report of the best run" not in text
 
 
