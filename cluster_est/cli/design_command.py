@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from argparse import Namespace
 from pathlib import Path
 
@@ -14,9 +13,8 @@ from cluster_est.cli.answer import Answer
 from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.terminal import EXIT_CODES, build_core, run_as_told, say_report
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.design_sentences import STEM, TABLE
+from cluster_est.experiment_design.design_sentences import block_for_table
 from cluster_est.run_folder.run_files import read_facts, read_run_columns
-from cluster_est.studies.configured import ConfiguredStudy
 from cluster_est.studies.configured_design import read_design
 from cluster_est.whole_files import write_output
 
@@ -43,13 +41,10 @@ def design(options: Namespace, answer: Answer) -> int:
     write_output(out, content.getvalue())
     print_any_run(answer, folder)
     say_report(answer, folder)
-    answer.say(
-        f"the input of the next experiment is in {out}; write your measurements into its "
-        "empty columns, and"
-    )
-    answer.say("add it to the config:\n")
+    answer.say("the lines that add the experiment to the config:\n")
     block = read_facts(folder)["design"]["block"]
-    block = block.replace(TABLE, _path_from(run, out)).replace(STEM, out.stem)
+    base = run.identity.base
+    block = block_for_table(block, out, None if base is None else str(base))
     answer.say(block)
     answer.add(out=out, block=block)
     return EXIT_CODES[end.status]
@@ -100,9 +95,3 @@ def _check_free(options: Namespace) -> None:
         raise RunFolderError(
             f"--out: {folder} contains a run that is not a design; choose another name"
         )
-
-
-def _path_from(run: ConfiguredStudy, out: Path) -> str:
-    """Return the path of the table relative to the folder of the run's config."""
-    base = run.identity.base
-    return str(out) if base is None else os.path.relpath(out, base)

@@ -111,6 +111,7 @@ _OF_RUN = (
         "object",
         "rows of the other tables of the run that `show` prints, by name of the table",
     ),
+    DocumentField("next", "list", "next steps: each `text`, and its `command` for a shell"),
     DocumentField("facts", "object", "contents of run.json"),
 )
 _WRITTEN = DocumentField("out", "text", "path that was written")
@@ -191,6 +192,13 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
             "each search: `search`, `iteration`, `evaluations`, `best`, `cost`, `ending`",
         ),
         DocumentField("failure_reasons", "list", "each reason: `count`, `status` and `message`"),
+        DocumentField(
+            "runs",
+            "list",
+            "for a folder of runs, each run: `name`, `status`, `verdict`, `cost`, `values` of the "
+            "best point, `simulations`, `failed`, `seconds`, `doing`, `left` and `message`; costs "
+            "of runs with the same `data` are comparable",
+        ),
     ),
     "export": (DocumentField("files", "list", "files that were written"),),
     "sweep": (

@@ -65,7 +65,7 @@ EXAMPLES = {
         "watch runs/first --browser",
         "watch runs --browser --port 8765",
         "watch runs/first --html --every 5",
-        "watch runs/first --json",
+        "watch runs --json",
     ),
     "export": (
         "export runs/loop --fmu repaired.fmu",
@@ -375,7 +375,7 @@ def _add_watch(commands: Commands) -> None:
         "state once"
     )
     watch = _with_run(
-        _command(commands, "watch", summary), "folder of a run, or a folder of several runs"
+        _command(commands, "watch", summary), "folder of a run; with --browser or --json, of runs"
     )
     how = watch.add_mutually_exclusive_group()
     how.add_argument("--html", action="store_true", help="also keep RUN/report.html up to date")

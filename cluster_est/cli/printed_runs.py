@@ -18,6 +18,8 @@ from cluster_est.cli.printing import (
     print_run,
 )
 from cluster_est.experiment_design.design_sentences import times
+from cluster_est.html_report.headline import next_steps
+from cluster_est.html_report.reported_run import read_results
 from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
@@ -145,6 +147,17 @@ def print_any_run(answer: Answer, run_folder: Path) -> None:
         print_loop(answer, run)
     else:
         print_run(answer, run)
+    _print_steps(answer, run_folder)
+
+
+def _print_steps(answer: Answer, run_folder: Path) -> None:
+    """Print what to do next, with commands that name this run."""
+    steps = next_steps(read_results(run_folder))
+    answer.add(next=[{"text": step.text, "command": step.command} for step in steps])
+    for step in steps:
+        answer.tell(f"next: {step.text}")
+        if step.command:
+            answer.say(f"  {step.command}")
 
 
 def print_loop(answer: Answer, run: StoredRun) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -25,6 +25,8 @@ from cluster_est.run_folder.run_files import left_alone
 from cluster_est.running.progress_line import left_of_step, pace_of, what_is_done
 from cluster_est.running.resources import RunSnapshot
 from cluster_est.watching.follower import RunFollower, RunView
+from cluster_est.watching.page_sources import runs_below
+from cluster_est.watching.page_state import RunRow
 from cluster_est.watching.traces import SearchView
 
 MOST_SEARCHES, MOST_FAILURE_REASONS = 12, 5
@@ -36,6 +38,9 @@ def watch(options: Namespace, answer: Answer) -> int:
     """Follow a run until it ends; look once where a document is asked for."""
     if options.browser:
         browse(options, answer)
+        return ExitCode.DONE
+    if options.json and not options.html and (names := _runs_of(options.run_folder)):
+        _look_at_runs(options.run_folder, names, answer)
         return ExitCode.DONE
     if options.json:
         follower = RunFollower(options.run_folder)
@@ -51,6 +56,22 @@ def watch(options: Namespace, answer: Answer) -> int:
             view = follow(options.run_folder, options.every, table.show, html=options.html)
     answer.add(**_fields(options.run_folder, view))
     return ExitCode.DONE
+
+
+def _runs_of(folder: Path) -> list[str]:
+    """Return the names of the runs in a folder that is not itself a run."""
+    return [] if (folder / "run.json").is_file() else runs_below(folder)
+
+
+def _look_at_runs(folder: Path, names: Sequence[str], answer: Answer) -> None:
+    """Print the state of each run in a folder."""
+    rows = [RunRow(folder / name, name).look() for name in names]
+    for row in rows:
+        cost = "" if row.get("cost") is None else f"cost {row['cost']:.6g}"
+        said = [row["status"], row.get("verdict"), cost, row.get("doing"), row.get("message")]
+        answer.say(f"{row['name']}: {', '.join(filter(None, said))}")
+    kept = [{key: value for key, value in row.items() if key not in ("line", "of")} for row in rows]
+    answer.add(run=folder, runs=kept)
 
 
 def _fields(run_folder: Path, view: RunView) -> dict[str, Any]:

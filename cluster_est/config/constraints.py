@@ -13,6 +13,7 @@ from cluster_est.errors import ConfigError
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import FloatArray, Output, SignalBound, UserFunction
+from workers.messages.checks import told_apart
 
 
 def tracking_bands(
@@ -106,9 +107,10 @@ def _interval(
 
 def _check_step(step: StepSection, where: str) -> None:
     if step.settling_time < step.rise_time:
+        rise, settling = told_apart(step.rise_time, step.settling_time)
         raise ConfigError(
-            f"{where}.step_response.settling_time: must not be before rise_time, "
-            f"{step.rise_time:g} s, but is {step.settling_time:g} s; swap them"
+            f"{where}.step_response.settling_time: must not be before rise_time, {rise} s, but is "
+            f"{settling} s; swap them"
         )
     if step.initial == step.final:
         raise ConfigError(

@@ -43,7 +43,7 @@ from cluster_est.toml import dotted
 from cluster_est.whole_files import is_sealed
 from workers.fmu.description import nearest
 from workers.messages import Value
-from workers.messages.checks import as_path, as_tuple, shown
+from workers.messages.checks import as_path, as_tuple, shown, told_apart
 
 VALUE_FILES = "value_files"
 
@@ -84,14 +84,29 @@ def config_folder(path: Path) -> Path:
     It is the folder of the config. For the config in a run folder, it is the folder of the run's
     original config, which run.json records.
     """
-    facts = path.parent / "run.json"
+    known = _recorded(path, "config_folder")
+    return known if known is not None and known.is_dir() else path.parent
+
+
+def original_config(path: Path) -> Path | None:
+    """Return the config itself; for the config in a run folder, the run's original config."""
+    return _recorded(path, "config_file") if _is_of_run(path) else path
+
+
+def _is_of_run(path: Path) -> bool:
     try:
-        if path.name != "config.toml" or not is_sealed(path.read_bytes()):
-            return path.parent
-        known = json.loads(facts.read_bytes())["config_folder"]
-        return Path(known) if known and Path(known).is_dir() else path.parent
-    except (OSError, ValueError, KeyError, TypeError):
-        return path.parent
+        return path.name == "config.toml" and is_sealed(path.read_bytes())
+    except OSError:
+        return False
+
+
+def _recorded(path: Path, fact: str) -> Path | None:
+    """Return a path from the run.json beside a config; None if the config is not that of a run."""
+    try:
+        facts = json.loads((path.parent / "run.json").read_bytes()) if _is_of_run(path) else {}
+        return Path(facts[fact]) if facts.get(fact) else None
+    except (OSError, ValueError, AttributeError, TypeError):
+        return None
 
 
 def _changed(raw: dict[str, Any], change: str) -> bool:
@@ -220,9 +235,10 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
             )
     start, stop = experiment.start, experiment.stop
     if start is not None and stop is not None and not start < stop:
+        begin, end = told_apart(start, stop)
         yield (
-            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
-            "one of them"
+            f"{where}.start: must be before stop, which is {end} s, but is {begin} s; change one "
+            "of them"
         )
     for key in ("windows", "test_windows"):
         for i, (first, last) in enumerate(getattr(experiment, key)):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from cluster_est.problem.display import in_a_row, percent
 from cluster_est.toml import inline
@@ -259,6 +261,22 @@ def experiment_block(experiment: Experiment, data: str, name: str) -> str:
         *([f"group = {inline(dict(experiment.groups))}"] if experiment.groups else []),
     ]
     return "\n".join(lines) + "\n"
+
+
+def block_for_table(block: str, table: Path, base: str | None) -> str:
+    """Return the entry of a design for its table.
+
+    Parameters
+    ----------
+    block
+        The entry, as run.json has it.
+    table
+        The table of the next experiment.
+    base
+        Folder to which the paths in the config are relative, if known.
+    """
+    path = os.path.relpath(table, base) if base else str(table)
+    return block.replace(TABLE, Path(path).as_posix()).replace(STEM, table.stem)
 
 
 def _column(given: Input) -> str | dict[str, str]:

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from cluster_est.settings import Finite, Pair, Settings, sentence
 from cluster_est.toml import dotted
+from workers.messages.checks import told_apart
 
 FEWEST_SAMPLES = 10
 MOST_SAMPLES = 200_000
@@ -101,9 +102,10 @@ class ExperimentLimits(Settings):
         for name, given in self.inputs.items():
             _check_range(given, f"inputs.{name}")
             if given.start is not None and not given.lower <= given.start <= given.upper:
+                low, high, start = told_apart(given.lower, given.upper, given.start)
                 raise sentence(
-                    f"inputs.{name}.start: must lie between lower, {given.lower:g}, and upper, "
-                    f"{given.upper:g}, but is {given.start:g}; change one of the three"
+                    f"inputs.{name}.start: must lie between lower, {low}, and upper, {high}, but "
+                    f"is {start}; change one of the three"
                 )
         for name, signal in self.signals.items():
             _check_range(signal, f"signals.{name}")
@@ -120,9 +122,10 @@ class ExperimentLimits(Settings):
             _check_range(between, f"start.{name}")
         for name, given in self.inputs.items():
             if given.hold > self.duration[0]:
+                most, hold = told_apart(self.duration[0], given.hold)
                 raise sentence(
-                    f"{dotted('inputs', name)}.hold: must be at most the duration, "
-                    f"{self.duration[0]:g} s, but is {given.hold:g} s; change one of the two"
+                    f"{dotted('inputs', name)}.hold: must be at most the duration, {most} s, but "
+                    f"is {hold} s; change one of the two"
                 )
         return self
 
@@ -147,7 +150,7 @@ class ExperimentLimits(Settings):
 
 def _check_range(given: InputLimits | SignalLimits | StartLimits, where: str) -> None:
     if not given.lower < given.upper:
+        low, high = told_apart(given.lower, given.upper)
         raise sentence(
-            f"{where}.lower: must be below upper, {given.upper:g}, but is {given.lower:g}; change "
-            "one of the two"
+            f"{where}.lower: must be below upper, {high}, but is {low}; change one of the two"
         )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cluster_est.experiment_design.design_sentences import times
+from cluster_est.experiment_design.design_sentences import block_for_table, times
 from cluster_est.html_report.charts import (
     Band,
     Chart,
@@ -20,6 +20,7 @@ from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
+    SourceBlock,
     TableLine,
     code,
     table,
@@ -34,7 +35,7 @@ MOST_MODELS = 5
 """Largest number of models whose predictions are drawn."""
 COVERED = 1.96
 Curve = tuple[FloatArray, FloatArray, FloatArray]
-INPUT_NOTE = "The table next to the run's folder contains this input, ready for the experiment."
+INPUT_NOTE = "{} contains this input, ready for the experiment."
 OUTPUT_NOTE = (
     "Each curve is the prediction of one model. The bands show the uncertainty from its parameters "
     "(95 %), without sensor noise. Where the curves differ, the measurement will distinguish the "
@@ -44,7 +45,11 @@ OUTPUT_NOTE = (
 
 def design(run: ReportedRun) -> ReportSection:
     """Return the section on the expected results of a design; empty for other runs."""
-    blocks = _tables(run)[1:] if run.is_design else []
+    if not run.is_design:
+        return ReportSection("design", "", ())
+    table_of_input, base = run.beside(".csv"), run.facts.get("config_folder")
+    block = block_for_table(run.facts["design"]["block"], table_of_input, base)
+    blocks = [*_tables(run)[1:], SourceBlock("Lines for the config", block)]
     return ReportSection("design", "What the experiment is expected to tell", tuple(blocks))
 
 
@@ -61,10 +66,14 @@ def _tables(run: ReportedRun) -> list[Block]:
 def design_pictures(run: ReportedRun) -> list[FigureBlock]:
     """Return the input and the models' predictions, for the head of a page."""
     units = run.facts["design"].get("units") or {}
-    return [*_inputs(run.tables["next_input"], units), *_outputs(run.tables["expected"], units)]
+    note = INPUT_NOTE.format(f"{run.name}.csv, next to the run's folder,")
+    return [
+        *_inputs(run.tables["next_input"], units, note),
+        *_outputs(run.tables["expected"], units),
+    ]
 
 
-def _inputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:
+def _inputs(rows: Sequence[Row], units: Mapping[str, str], note: str) -> list[FigureBlock]:
     time = np.array([row["time"] for row in rows])
     plots = []
     for name in rows[0] if rows else ():
@@ -76,7 +85,7 @@ def _inputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:
     if not plots:
         return []
     chart = Chart(tuple(plots), "time (s)", legend=False, across=5)
-    return [FigureBlock("next-input", "Input of the experiment", chart, INPUT_NOTE)]
+    return [FigureBlock("next-input", "Input of the experiment", chart, note)]
 
 
 def _outputs(rows: Sequence[Row], units: Mapping[str, str]) -> list[FigureBlock]:

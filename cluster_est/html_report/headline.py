@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from cluster_est.html_report.error_sections import error_sentence, error_sizes
 from cluster_est.html_report.number_text import count, percent
@@ -47,7 +49,7 @@ def summarise(run: ReportedRun) -> ReportSummary:
     sentences = [*_opening(run), *_fitted(run), *_bounds(run), *_failed(run)]
     said = run.facts.get("notes") or ()
     notes = tuple(_sentence(note) for note in said[1 if run.is_design else 0 :])
-    return ReportSummary(verdict, tone, tuple(sentences), tuple(_steps(run)), notes)
+    return ReportSummary(verdict, tone, tuple(sentences), next_steps(run), notes)
 
 
 def _verdict(run: ReportedRun) -> tuple[str, Tone]:
@@ -205,20 +207,26 @@ def _failed(run: ReportedRun) -> list[str]:
     return [f"{count(failures)} of {count(total)} simulations failed ({share}){of}."]
 
 
-LOOK = "cluster-est close-loop CONFIG --out FOLDER"
-DESIGN = "cluster-est design RUN --limits LIMITS --out next.csv"
-EXPORT = "cluster-est export RUN --fmu fitted.fmu"
+LIMITS = "limits.toml"
+"""Name of the file of limits, which the user has to write."""
+
+
+def command(name: str, *given: str | Path) -> str:
+    """Return a command that can be pasted into a shell."""
+    return shlex.join(["cluster-est", name, *map(str, given)])
+
+
+def next_steps(run: ReportedRun) -> tuple[NextStep, ...]:
+    """Return next steps with their commands, the most important first."""
+    return tuple(_steps(run))
 
 
 def _steps(run: ReportedRun) -> Iterator[NextStep]:
-    """Yield next steps, the most important first."""
     if run.is_design:
-        yield NextStep("Run the experiment, write the measurements into its table, and fit again.")
+        yield _measure(run)
     elif run.is_sensitivity:
-        yield NextStep(
-            "Fit the influential parameters, and fix the others.",
-            "cluster-est fit CONFIG --out FOLDER",
-        )
+        fit = _with_config(run, "fit")
+        yield NextStep("Fit the influential parameters, and fix the others.", fit)
     if not run.finished:
         return
     if run.status == RunStatus.NOT_CONVERGED:
@@ -233,25 +241,57 @@ def _steps(run: ReportedRun) -> Iterator[NextStep]:
 def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     effects: list[Row] = run.facts.get("effects") or []
     if effects:
-        yield NextStep("Export the repaired model.", EXPORT)
+        yield NextStep("Export the repaired model.", _export(run, "repaired.fmu"))
     if any(effect.get("alternatives") for effect in effects):
-        yield NextStep("Distinguish the effect from its rivals with another experiment.", DESIGN)
+        yield _design(run, "Distinguish the effect from its rivals with another experiment")
     if run.facts["verdict"] in ("unexplained", "partial"):
         yield NextStep(
-            "Look below for the places with the largest remaining error, and allow "
-            "other effects there."
+            "Look for the places with the largest remaining error, and allow other effects there."
         )
     elif not effects:
-        yield NextStep("Export the fitted model.", EXPORT)
+        yield NextStep("Export the fitted model.", _export(run, "fitted.fmu"))
 
 
 def _after_fit(run: ReportedRun) -> Iterator[NextStep]:
     if run.too_narrow:
-        yield NextStep("See what the model lacks.", LOOK)
+        yield NextStep("See what the model lacks.", _with_config(run, "close-loop"))
     if run.tables["directions"]:
-        yield NextStep("Determine the other parameters with another experiment.", DESIGN)
+        yield _design(run, "Determine the other parameters with another experiment")
     if run.status == RunStatus.DONE and not run.facts.get("doubts"):
-        yield NextStep("Export the fitted model.", EXPORT)
+        yield NextStep("Export the fitted model.", _export(run, "fitted.fmu"))
+
+
+def _with_config(run: ReportedRun, name: str) -> str:
+    """Return a command for the config of a run; "" for a run from Python, which has none."""
+    if run.config.startswith("# saved from Python"):
+        return ""
+    return command(name, run.path / "config.toml", "--out", run.beside(_suffix(name)))
+
+
+def _suffix(name: str) -> str:
+    """Return the suffix of the folder that a command writes."""
+    return f"-{name.removeprefix('close-')}"
+
+
+def _export(run: ReportedRun, fmu: str) -> str:
+    return command("export", run.path, "--fmu", fmu)
+
+
+def _design(run: ReportedRun, purpose: str) -> NextStep:
+    text = f"{purpose} (first write its limits into {LIMITS})."
+    return NextStep(text, command("design", run.path, "--limits", LIMITS, "--out", "next.csv"))
+
+
+def _measure(run: ReportedRun) -> NextStep:
+    """Return the step after a design: its experiment, and the study of all experiments."""
+    table, config = run.beside(".csv"), run.facts.get("config_file")
+    again = "close-loop" if run.facts["design"].get("criterion") == "discriminate" else "fit"
+    said = (
+        f"Run the experiment with the input in {table}, write the measurements into the empty "
+        f"columns of this table, add the experiment to {config or 'the config'}, and fit again."
+    )
+    then = command(again, config, "--out", run.beside(_suffix(again))) if config else ""
+    return NextStep(said, then)
 
 
 def _sentence(text: str) -> str:

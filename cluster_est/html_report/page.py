@@ -117,7 +117,8 @@ def write_report(
         If there is no run, one of its tables is damaged, or the file cannot be written.
     """
     path = run_folder / REPORT if out is None else out
-    write_page(path, render(read_run(run_folder, activity), reload))
+    # a page is opened anywhere, so its commands name the whole path
+    write_page(path, render(read_run(run_folder.absolute(), activity), reload))
     return path
 
 

@@ -52,6 +52,8 @@ class ReportedRun:
         residuals, trajectories, predictions, inputs and states; None for a missing table.
     activity
         Workers and failures from the log.
+    path
+        The folder, for the commands that use it.
     """
 
     name: str
@@ -60,11 +62,17 @@ class ReportedRun:
     tables: Mapping[str, tuple[Row, ...]] = field(repr=False)
     wide: Mapping[str, pa.Table | None] = field(repr=False)
     activity: LogActivity = field(repr=False)
+    path: Path = field(default=Path(), repr=False)
 
     @cached_property
     def curves(self) -> dict[Key, OutputCurves]:
         """Measured and simulated values, by experiment and output."""
         return recorded_curves(self.wide)
+
+    def beside(self, suffix: str) -> Path:
+        """Return a path next to the folder, with the same name and a suffix."""
+        path = self.path if self.path.name == self.name else self.path.resolve()  # such as "."
+        return path.with_name(self.name + suffix)
 
     @property
     def status(self) -> str:
@@ -150,6 +158,7 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
         tables=tables,
         wide={name: _table(path / f"{name}.parquet") if curves else None for name in WIDE_TABLES},
         activity=activity or read_activity(path / "evaluations", ended=is_ended(facts)),
+        path=path,
     )
 
 
@@ -161,10 +170,11 @@ def read_results(path: Path) -> ReportedRun:
     RunFolderError
         If it is not a run folder, or damaged.
     """
-    stored = read_stored_run(path, ("parameters", "errors"))
+    stored = read_stored_run(path, ("parameters", "errors", "directions"))
     tables = {name: tuple(stored.tables.get(name, ())) for name in (*SMALL_TABLES, "progress")}
     wide = dict.fromkeys(WIDE_TABLES)
-    return ReportedRun(path.resolve().name, stored.facts, "", tables, wide, NO_ACTIVITY)
+    config = read_config_text(path) if (path / "config.toml").is_file() else ""
+    return ReportedRun(path.resolve().name, stored.facts, config, tables, wide, NO_ACTIVITY, path)
 
 
 def _table(path: Path) -> pa.Table | None:

@@ -19,6 +19,7 @@ from cluster_est.html_report.charts import (
     Rules,
     row_chart,
 )
+from cluster_est.html_report.headline import command
 from cluster_est.html_report.number_text import count, digits, duration, percent, time_unit
 from cluster_est.html_report.page_blocks import (
     Block,
@@ -328,7 +329,8 @@ def _failures(run: ReportedRun) -> list[Block]:
         )
         for each in found
     )
-    hint = TextBlock("To repeat a failed simulation, run cluster-est replay RUN ID.", "faint")
+    again = command("replay", run.path, str(found[0].first))
+    hint = TextBlock(f"To repeat the first of these simulations: {again}", "faint")
     return [table(names, rows, "Failed simulations", folded=len(rows) > 20), hint]
 
 

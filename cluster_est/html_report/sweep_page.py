@@ -22,13 +22,14 @@ from cluster_est.html_report.charts import (
 )
 from cluster_est.html_report.error_sections import error_sizes, error_table
 from cluster_est.html_report.first_screen import parameter_table
-from cluster_est.html_report.headline import summarise
+from cluster_est.html_report.headline import next_steps, summarise
 from cluster_est.html_report.number_text import count, digits, duration
 from cluster_est.html_report.page import REPORT, rendered, write_page, write_report
 from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     GridBlock,
+    NextStep,
     ReportSection,
     TableCell,
     TableLine,
@@ -40,6 +41,7 @@ from cluster_est.html_report.page_blocks import (
 from cluster_est.html_report.reported_run import ReportedRun, Row, read_results
 from cluster_est.html_report.scales import Scale
 from cluster_est.html_report.sweep_history import history, read_history
+from cluster_est.problem.display import in_a_row
 from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
 PARAMETER = "parameter "
@@ -84,6 +86,27 @@ class ListedRun:
         return self.value(f"rmse_{role}")
 
     @property
+    def judged_on(self) -> tuple[tuple[str, str], ...]:
+        """The names and hashes of the experiments that rank the run: held out, or all if none is.
+
+        Only errors on the same data can be compared.
+        """
+        if self.found is None:
+            return ((str(self.row["config"]), ""),)
+        keys = self.found.facts.get("experiments") or {}
+        rows = self.found.tables["errors"]
+        chosen = [row for row in rows if row["role"] == "test"] or rows
+        return tuple(
+            sorted({(row["experiment"], keys.get(row["experiment"], "")) for row in chosen})
+        )
+
+    @property
+    def model(self) -> str:
+        """The hash of its FMU; the name of its config if that is not known."""
+        facts = {} if self.found is None else self.found.facts
+        return str((facts.get("fmu") or {}).get("sha256") or self.row["config"])
+
+    @property
     def over_noise(self) -> bool:
         return self.found is not None and error_sizes(self.found).is_noise
 
@@ -121,11 +144,12 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     RunFolderError
         If its summary is damaged, or the file cannot be written.
     """
-    path = folder / REPORT if out is None else out
+    path, folder = folder / REPORT if out is None else out, folder.absolute()
     runs = [_listed(folder, row, path) for row in read_run_table(folder / SWEEP_SUMMARY_FILE)]
-    ranked = _ranked(runs)
-    best = ranked[0] if ranked else None
-    title, tone = _headline(runs, best)
+    groups = _groups(runs)
+    ranked = [run for group in groups for run in group]
+    best = ranked[0] if len(groups) == 1 else None
+    title, tone = _headline(runs, groups)
     words: list[Block] = []
     if best is not None and best.found is not None:
         rest = "see the report of the best run"
@@ -136,9 +160,10 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
         name=folder.resolve().name,
         title=title,
         tone=tone,
-        sentences=_sentences(runs, ranked),
+        sentences=_sentences(runs, groups),
         words=words,
         best="" if best is None else best.link,
+        steps=_steps(groups),
         pictures=errors(ranked),
         sections=[section for section in sections if section.blocks],
     )
@@ -147,9 +172,10 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
 
 
 def read_sweep_runs(folder: Path) -> list[ListedRun]:
-    """Return the runs of a sweep that have an error, the best first."""
+    """Return the runs of a sweep that have an error, the best first for each set of data."""
     rows = read_run_table(folder / SWEEP_SUMMARY_FILE)
-    return _ranked([ListedRun(row, _found(folder / str(row["run"]))) for row in rows])
+    groups = _groups([ListedRun(row, _found(folder / str(row["run"]))) for row in rows])
+    return [run for group in groups for run in group]
 
 
 def _found(folder: Path) -> ReportedRun | None:
@@ -175,32 +201,64 @@ def _listed(folder: Path, row: Row, page: Path) -> ListedRun:
     return ListedRun(row, found, quote(relative))
 
 
-def _ranked(runs: Sequence[ListedRun]) -> list[ListedRun]:
-    """Return runs with an error, the best first: by held-out error, then by training error."""
-    ended = [run for run in runs if math.isfinite(run.error("train"))]
-    return sorted(ended, key=lambda run: (_or_last(run.error("test")), run.error("train")))
+def _groups(runs: Sequence[ListedRun]) -> list[list[ListedRun]]:
+    """Return runs with an error, those on the same data together, the best of them first.
+
+    They are ranked by held-out error, then by training error.
+    """
+    groups: dict[object, list[ListedRun]] = {}
+    for run in runs:
+        if math.isfinite(run.error("train")):
+            groups.setdefault(run.judged_on, []).append(run)
+    rank = lambda run: (_or_last(run.error("test")), run.error("train"))  # noqa: E731
+    return [sorted(group, key=rank) for group in groups.values()]
 
 
 def _or_last(error: float) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-def _headline(runs: Sequence[ListedRun], best: ListedRun | None) -> tuple[str, Tone]:
-    """Return the best run and its quality; green if its own report is green."""
+def _headline(runs: Sequence[ListedRun], groups: Sequence[Sequence[ListedRun]]) -> tuple[str, Tone]:
+    """Return the best run and its quality; green if its own report is green.
+
+    Runs on different data have no best run.
+    """
+    if len(groups) == 1:
+        said, tone = _verdict(groups[0][0])
+        return f"Best of {count(len(runs))} runs: {said}", tone
     done = sum(run.row["status"] == "done" for run in runs)
-    if best is None:
-        said = f"{count(done)} of {count(len(runs))} runs reached a solution"
+    said = f"{count(done)} of {count(len(runs))} runs reached a solution"
+    if not groups:
         return said, "" if done else "bad"
-    said = f"Best of {count(len(runs))} runs: {best.name}"
+    tones = {_verdict(group[0])[1] for group in groups}
+    tone = next((tone for tone in TONES if tone in tones), "")
+    return f"{said}, on {count(len(groups))} different sets of data", tone
+
+
+TONES: tuple[Tone, ...] = ("bad", "", "good")
+"""The tones of a result, the worst first."""
+
+
+def _verdict(best: ListedRun) -> tuple[str, Tone]:
+    """Return the name of a run with its result, and its quality."""
     if best.found is not None:
         summary = summarise(best.found)
-        return f"{said}. {summary.verdict}", summary.tone
+        return f"{best.name}. {summary.verdict}", summary.tone
     held_out = best.error("test")
     also = "" if math.isnan(held_out) else f", held out {digits(held_out, 3)}"
-    return f"{said}: error {digits(best.error('train'), 3)} over sigma{also}", best.worth.value
+    said = f"{best.name}: error {digits(best.error('train'), 3)} over sigma{also}"
+    return said, best.worth.value
 
 
-def _sentences(runs: Sequence[ListedRun], ranked: Sequence[ListedRun]) -> list[str]:
+def _steps(groups: Sequence[Sequence[ListedRun]]) -> tuple[NextStep, ...]:
+    """Return the next steps after the best run, or after several sets of data."""
+    if len(groups) > 1:
+        return (NextStep("Open the reports of the runs; the table of runs leads to them."),)
+    best = groups[0][0].found if groups else None
+    return () if best is None else next_steps(best)
+
+
+def _sentences(runs: Sequence[ListedRun], groups: Sequence[Sequence[ListedRun]]) -> list[str]:
     states = Counter(str(run.row["status"]) for run in runs)
     done = states["done"]
     doubtful = sum(run.worth is RunWorth.DOUBTFUL for run in runs)
@@ -210,11 +268,44 @@ def _sentences(runs: Sequence[ListedRun], ranked: Sequence[ListedRun]) -> list[s
         said += f"; {of} of these {'is' if of == '1' else 'are'} doubtful"
     others = [f"{count(n)} {state}" for state, n in states.items() if state != "done"]
     found = [f"{said}.", *([f"Of the others: {', '.join(others)}."] if others else [])]
-    return [*found, *_agreement(ranked)]
+    return [*found, *_best_of_each(groups), *_agreements(groups)]
 
 
-def _agreement(ranked: Sequence[ListedRun]) -> list[str]:
-    """Return whether the 95 % intervals of all runs have a common value."""
+def _best_of_each(groups: Sequence[Sequence[ListedRun]]) -> list[str]:
+    """Return the best run on each set of data, if there are several sets with several runs."""
+    said = [
+        f"The best of {count(len(group))} runs on the same data is {group[0].name}."
+        for group in groups
+        if len(group) > 1
+    ]
+    if len(groups) < 2:
+        return []
+    return [COMPARED if len(said) < len(groups) else "", *said[:MOST_SETS]]
+
+
+COMPARED = "Runs on different data are not compared with each other."
+MOST_SETS = 5
+"""Number of sets of data in the sentences."""
+
+
+def _agreements(groups: Sequence[Sequence[ListedRun]]) -> list[str]:
+    """Return whether runs of one model on the same data agree."""
+    alike: dict[object, list[ListedRun]] = {}
+    for run in (run for group in groups for run in group):
+        alike.setdefault((run.judged_on, run.model), []).append(run)
+    several = len(alike) > 1
+    found = [_agreement(own, _named(own) if several else "The runs") for own in alike.values()]
+    return list(filter(None, found))[:MOST_SETS]
+
+
+def _named(runs: Sequence[ListedRun]) -> str:
+    """Return runs of one model on the same data, by their configs."""
+    configs = list(dict.fromkeys(str(run.row["config"]) for run in runs))
+    return f"The {count(len(runs))} runs with {in_a_row(configs)}"
+
+
+def _agreement(ranked: Sequence[ListedRun], called: str) -> str:
+    """Return whether the 95 % intervals of all runs have a common value; "" if none is known."""
     apart, known = [], 0
     for label in _labels(ranked):
         ends = np.array([run.estimate(label)[1:3] for run in ranked])
@@ -224,11 +315,11 @@ def _agreement(ranked: Sequence[ListedRun]) -> list[str]:
             if ends[:, 0].max() > ends[:, 1].min():
                 apart.append(label)
     if not known:
-        return []
+        return ""
     if not apart:
-        return ["The runs agree: the 95 % intervals of each estimate overlap."]
+        return f"{called} agree: the 95 % intervals of each estimate overlap."
     named = ", ".join(apart[:5]) + (", …" if len(apart) > 5 else "")
-    return [f"The runs disagree on {named}: the 95 % intervals do not overlap."]
+    return f"{called} disagree on {named}: the 95 % intervals do not overlap."
 
 
 def _labels(runs: Sequence[ListedRun]) -> list[str]:
@@ -257,7 +348,8 @@ def errors(ranked: Sequence[ListedRun]) -> list[FigureBlock]:
     if not across.log:  # from 0, so that small differences look small
         across = Scale.around(*known, np.zeros(1))
     shown = "" if len(drawn) == len(ranked) else f", {len(drawn)} of {count(len(ranked))}"
-    title = f"Errors of the runs, the best first{shown}"
+    first = "the best first" if len({run.judged_on for run in drawn}) == 1 else "by their data"
+    title = f"Errors of the runs, {first}{shown}"
     below = "error over the noise" if over_noise else "error over sigma"
     return [_by_run("errors-of-runs", title, below, across, marks, drawn)]
 
@@ -273,10 +365,14 @@ def _by_run(
 
 
 def _short_names(runs: Sequence[ListedRun]) -> dict[str, str]:
-    """Return the values of each run on the sweep's axes, or its name, by its name."""
+    """Return the values of each run on the sweep's axes, by its name; its name if they repeat."""
     axes = _axes(runs)
     choices = [", ".join(str(run.row[axis]) for axis in axes if run.row[axis]) for run in runs]
-    return {run.name: own or run.name for own, run in zip(choices, runs, strict=True)}
+    often = Counter(choices)
+    return {
+        run.name: own if own and often[own] == 1 else run.name
+        for own, run in zip(choices, runs, strict=True)
+    }
 
 
 def _axes(runs: Sequence[ListedRun]) -> list[str]:
@@ -328,7 +424,8 @@ def _runs(runs: Sequence[ListedRun]) -> ReportSection:
     """Return the summary table for readers."""
     axes = _axes(runs)
     loops = [name for name in ("verdict", "effects", "together") if _has(runs, name)]
-    over = "noise" if all(run.over_noise for run in _ranked(runs)) else "sigma"
+    ended = [run for run in runs if math.isfinite(run.error("train"))]
+    over = "noise" if all(run.over_noise for run in ended) else "sigma"
     names = (
         "run", *axes, "", *loops, f"#training, over {over}", "#held out", "#cost", "#simulations",
         "#time",

@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.priors import LogNormalPrior, NormalPrior, Prior
-from workers.messages.checks import shown
+from workers.messages.checks import shown, told_apart
 
 QUANTILES = np.linspace(0.0, 1.0, 2002)[1:-1]
 """Quantiles of the distribution, between which its mode is searched for."""
@@ -115,9 +115,10 @@ class DistributionPrior(Prior):
         super().check(where, start, lower, upper)
         low, high = (float(end) for end in self.distribution.support())
         if not low <= lower < upper <= high:
+            first, last, least, most = told_apart(low, high, lower, upper)
             raise ProblemError(
                 f"{where}.bounds: must lie where the prior {self.said()} has a density, which is "
-                f"from {low:g} to {high:g}, but are [{lower:g}, {upper:g}]; narrow them"
+                f"from {first} to {last}, but are [{least}, {most}]; narrow them"
             )
 
 

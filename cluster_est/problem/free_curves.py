@@ -31,7 +31,7 @@ from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.priors import NormalPrior
 from workers.effects.kinds import EffectForm
-from workers.messages.checks import check_choice, check_number, is_number, shown
+from workers.messages.checks import check_choice, check_number, is_number, shown, told_apart
 
 FARTHEST_SLOPE_CHANGE = 8.0
 """Bounds of a change of slope, in standard deviations of its prior."""
@@ -324,9 +324,10 @@ class ShapedCurve:
         """The table of the curve's values over their points."""
         low, high = (self._starts[name] for name in CURVE_END_COEFFICIENTS)
         if not low < high:
+            least, most = told_apart(low, high)
             raise ConfigError(
                 f"effects.{self.name}.parameters.low.start: must be below the start of high, which "
-                f"is {high:g}, but is {low:g}; change one of them"
+                f"is {most}, but is {least}; change one of them"
             )
         names = self.form.curve_values
         return ValueTable(

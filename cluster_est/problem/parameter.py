@@ -22,6 +22,7 @@ from workers.messages.checks import (
     is_finite,
     is_number,
     shown,
+    told_apart,
 )
 
 Scale = Literal["linear", "log"]
@@ -79,16 +80,18 @@ class Parameter:
         where = dotted("parameters", self.name)
         self._check_kinds(where)
         if not self.lower < self.upper:
+            low, high = told_apart(self.lower, self.upper)
             raise ProblemError(
                 f"{where}.bounds: the lower bound must be below the upper bound, but they are "
-                f"[{self.lower:g}, {self.upper:g}]; to keep the value constant, use fixed = true"
+                f"[{low}, {high}]; to keep the value constant, use fixed = true"
             )
         if self.expression:
             self._check_derived(where)
         elif not self.lower <= self.start <= self.upper:
+            low, high, start = told_apart(self.lower, self.upper, self.start)
             raise ProblemError(
-                f"{where}.start: must lie within the bounds [{self.lower:g}, {self.upper:g}], but "
-                f"is {self.start:g}; move the start or widen the bounds"
+                f"{where}.start: must lie within the bounds [{low}, {high}], but is {start}; move "
+                "the start or widen the bounds"
             )
         if self.scale == "log" and (self.start <= 0.0 or self.upper <= 0.0):
             raise ProblemError(

@@ -15,7 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 import pyarrow as pa
 
-from cluster_est.errors import RunFolderError, UnwritableError
+from cluster_est.errors import ClusterEstError, RunFolderError, UnwritableError
+from cluster_est.problem.problem import Problem
+from cluster_est.results.fit_tables import coefficient_units
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
@@ -111,6 +113,7 @@ class RunFolder:
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._so_far: dict[str, Any] = {} if logged is None else _found_before(path)
         self._begin = time.time()
+        self._variables = _explained(self._problem)
         self._lock = held or take_folder(path)
         try:
             check_free(path, overwrite=overwrite or logged is not None)  # again, now locked
@@ -231,7 +234,7 @@ class RunFolder:
         write_run_columns(path, table.replace_schema_metadata(metadata), MAKE_ROOM_AND_RESUME)
 
     def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
-        base = self._identity.base
+        base, file = self._identity.base, self._identity.config_file
         facts = {
             "format": FORMAT,
             "status": status,
@@ -241,6 +244,7 @@ class RunFolder:
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
             "config_hash": self._config_hash,
             "config_folder": "" if base is None else str(base.resolve()),
+            "config_file": "" if file is None else str(file.resolve()),
             "fmu": {
                 "name": self._problem.model.name,
                 "sha256": self._problem.model.archive_hash,
@@ -248,11 +252,34 @@ class RunFolder:
                 "solver": self._problem.model.solver.name,
             },
             "reset_policy": dataclasses.asdict(self._reset) if self._reset is not None else None,
+            "variables": self._variables,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }
         text = json.dumps({SEAL_KEY: SEAL, **_finite(facts)}, indent=2) + "\n"
         write_whole(self.path / "run.json", sealed(text.encode()), MAKE_ROOM_AND_RESUME)
+
+
+def _explained(problem: Problem) -> dict[str, dict[str, dict[str, str]]]:
+    """Return unit and description of each parameter and output, for those who watch the run."""
+    try:
+        variables = problem.describe().variables
+        units = coefficient_units(problem)
+    except ClusterEstError:  # the run itself says so
+        return {}
+    found: dict[str, dict[str, dict[str, str]]] = {"parameters": {}, "outputs": {}}
+    for parameter in problem.parameters:
+        known = variables.get(parameter.target)
+        unit = parameter.unit or units.get(parameter.name, "" if known is None else known.unit)
+        text = "" if known is None else known.description
+        found["parameters"][parameter.name] = {"unit": unit, "description": text}
+    for output in (o for experiment in problem.experiments for o in experiment.outputs):
+        known = variables.get(output.variable)
+        found["outputs"][output.variable] = {
+            "unit": "" if known is None or output.ordinal else known.unit,
+            "description": "" if known is None else known.description,
+        }
+    return found
 
 
 def _found_before(path: Path) -> dict[str, Any]:

@@ -64,6 +64,8 @@ class RunIdentity:
         Folder to which paths in the config are relative; None without a config.
     log
         Amount of data to keep of each simulation.
+    config_file
+        The file of the config that was given, to name it in later steps; None without a config.
     """
 
     kind: RunKind
@@ -73,9 +75,12 @@ class RunIdentity:
     seed: int
     base: Path | None = None
     log: LogSettings = field(default_factory=LogSettings)
+    config_file: Path | None = None
 
     @classmethod
-    def of(cls, kind: RunKind, config: Config, base: Path, problem: Problem) -> Self:
+    def of(
+        cls, kind: RunKind, config: Config, base: Path, problem: Problem, file: Path | None = None
+    ) -> Self:
         """Return the identity of a run of a resolved config."""
         tree = config.model_dump(mode="json", exclude_defaults=False)
         return cls(
@@ -86,6 +91,7 @@ class RunIdentity:
             _seeds(config)[kind],
             base,
             config.log,
+            file,
         )
 
 

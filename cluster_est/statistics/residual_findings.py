@@ -121,8 +121,7 @@ MOST_NAMED_OUTPUTS = 4
 """Largest number of outputs in a sentence; those with the largest errors are named."""
 
 ADVICE = (
-    "to search for missing effects, run cluster-est close-loop CONFIG --out FOLDER, or in Python "
-    "close_loop(problem)"
+    "to search for missing effects, use cluster-est close-loop, or in Python close_loop(problem)"
 )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_method, build_resources
-from cluster_est.config.reader import config_folder, read_config
+from cluster_est.config.reader import config_folder, original_config, read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.problem.problem import Problem
@@ -153,24 +153,24 @@ def read_study(
     ClusterEstError
         If the config has errors.
     """
-    base = config_folder(path)
-    return configure(read_config(path, overrides), base, kind, allow_code=allow_code)
+    return configure(read_config(path, overrides), path, kind, allow_code=allow_code)
 
 
-def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredStudy:
-    """Check a resolved config, whose paths are relative to `base`.
+def configure(config: Config, path: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredStudy:
+    """Check the resolved config of a file.
 
     Raises
     ------
     ClusterEstError
         If the config has errors.
     """
+    base = config_folder(path)
     problem = build_problem(config, base, allow_code=allow_code)
     thin = thinned_for(kind, config, problem)
     study = STUDIES[kind](config, thin.problem)
     study.check()
     notes = (thin.sentence,) if thin.is_thinner else ()
-    identity = RunIdentity.of(kind, config, base, thin.problem)
+    identity = RunIdentity.of(kind, config, base, thin.problem, original_config(path))
     return ConfiguredStudy(identity, config, study, notes)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.limits_file import read_limits, with_named_targets
-from cluster_est.config.reader import read_config
+from cluster_est.config.reader import original_config, read_config
 from cluster_est.config.sections import Config, EffectSection
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import Design
@@ -101,6 +101,7 @@ def read_design(
         wanted.seed,
         base,
         resolved.log,
+        original_config(run_folder / "config.toml") if config is None else config,
     )
     return ConfiguredStudy(identity, resolved, study)
 

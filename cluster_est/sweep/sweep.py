@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.config.choices import build_resources
-from cluster_est.config.reader import config_folder
 from cluster_est.errors import (
     ClusterEstError,
     ConfigError,
@@ -53,7 +52,7 @@ def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredStudy:
     ClusterEstError
         If an input is invalid.
     """
-    return configure(run.read(), config_folder(run.config), run.study, allow_code=allow_code)
+    return configure(run.read(), run.config, run.study, allow_code=allow_code)
 
 
 def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:

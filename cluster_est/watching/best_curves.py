@@ -40,10 +40,9 @@ MOST_SECONDS_TO_REPEAT = 5.0
 
 SHOWN_LATER = "the curves are shown when the run has a result"
 
-NOT_YET = (
-    "There are no curves yet: a fit shows curves from its first point on, and a search for missing "
-    "effects shows them after the first round that adds an effect."
-)
+NOT_YET = "There are no curves yet: they are shown from the first point of the first fit on."
+
+OF_MODEL = "Simulated for this page with the {}, as it was fitted first."
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,12 @@ class CurveSource:
         self._asking = threading.Lock()
 
     def look(
-        self, facts: Mapping[str, Any], best: BestPoint | None, seconds: float, wanted: str
+        self,
+        facts: Mapping[str, Any],
+        best: BestPoint | None,
+        seconds: float,
+        wanted: str,
+        model: str = "",
     ) -> ExperimentCurves:
         """Return the curves of an experiment.
 
@@ -112,11 +116,13 @@ class CurveSource:
         facts
             Contents of run.json.
         best
-            The best point of a fit so far, if there is one.
+            The best point so far, if there is one.
         seconds
             Average duration of a simulation.
         wanted
             The experiment; another one if there is none of that name.
+        model
+            The model of the best point, if it may differ from that of the result.
         """
         try:
             with self._asking:
@@ -131,7 +137,9 @@ class CurveSource:
                         "repetition"
                     )
                     return ExperimentCurves(said=f"{said} here; {SHOWN_LATER}.")
-                return self._simulator(facts).curves(best, wanted)
+                found = self._simulator(facts).curves(best, wanted)
+                told = model and found.outputs  # otherwise, it says why there are no curves
+                return replace(found, said=OF_MODEL.format(model)) if told else found
         except (ClusterEstError, OSError) as error:
             return ExperimentCurves(said=f"The curves cannot be shown: {error}")
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cluster_est.errors import RunFolderError
+from cluster_est.html_report.headline import command
 from cluster_est.run_folder.run_files import RunStatus, left_alone, read_facts
 from cluster_est.studies.configured import STOP
 from cluster_est.watching.best_curves import CurveSource
@@ -61,6 +62,8 @@ class FollowedRun:
             self._view = view = follower.look()
             activity = follower.tail.activity
             self._state = run_state(self._name, view, activity)
+            for row in self._state["failures"]:
+                row["command"] = command("replay", self.path, str(row["first"]))
             self._state["parameters"] = parameter_rows(self.path, view)
             self._looked = time.monotonic()
             return self._state
@@ -72,7 +75,10 @@ class FollowedRun:
             return {"experiments": [], "experiment": "", "said": "", "outputs": []}
         view, seconds = self._view, self._follower.tail.activity.seconds
         average = float(np.mean(seconds)) if len(seconds) else 0.0
-        return curves_state(self._source.look(view.facts, view.traces.best, average, experiment))
+        found = self._source.look(
+            view.facts, view.traces.shown, average, experiment, view.traces.shown_model
+        )
+        return curves_state(found, view.facts)
 
     def close(self) -> None:
         """Release the resources of its page."""

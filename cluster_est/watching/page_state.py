@@ -31,7 +31,7 @@ from cluster_est.running.progress_line import (
     search_title,
     what_is_done,
 )
-from cluster_est.running.resources import RunSnapshot
+from cluster_est.running.resources import BestPoint, RunSnapshot
 from cluster_est.watching.best_curves import ExperimentCurves
 from cluster_est.watching.follower import RunView
 from cluster_est.watching.traces import SearchTraces, is_of_fit
@@ -43,7 +43,9 @@ MOST_PAGE_PARAMETERS = 200
 MOST_PAGE_WORKERS, BUSY_BINS = 16, 60
 MOST_OVERVIEW_PARAMETERS = 6
 BOUNDS = ("lower", "upper")
-PARAMETER_COLUMNS = ("label", "value", "unit", "start", *BOUNDS, "std_error", "at_bound")
+PARAMETER_COLUMNS = (
+    "label", "value", "unit", "description", "start", *BOUNDS, "std_error", "at_bound"
+)  # fmt: skip
 """Columns of a run's parameters that its page shows."""
 
 
@@ -71,7 +73,8 @@ def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]
         "workers": None if state is None else state.workers,
         "busy": None if state is None or view.ended else state.busy,
         "waiting": None if state is None or view.ended else state.waiting,
-        "cost": best_cost(facts, traces),
+        "cost": best_cost(facts, traces.shown),
+        "cost_of": traces.shown_model if facts.get("cost") is None else "",
         "cost_before": facts.get("cost_before"),
         "costs": _costs(traces),
         "searches": [
@@ -95,12 +98,12 @@ def run_state(name: str, view: RunView, activity: LogActivity) -> dict[str, Any]
     })  # fmt: skip
 
 
-def best_cost(facts: Mapping[str, Any], traces: SearchTraces) -> float | None:
-    """Return the cost of a run's result, or of the best point of a fit so far."""
+def best_cost(facts: Mapping[str, Any], best: BestPoint | None) -> float | None:
+    """Return the cost of a run's result, or of the best point so far."""
     known = facts.get("cost")
     if known is not None:
         return float(known)
-    return None if traces.best is None else traces.best.cost
+    return None if best is None else best.cost
 
 
 def _known(name: str, facts: Mapping[str, Any], state: RunSnapshot | None) -> Any:
@@ -161,9 +164,9 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
         rows = [
             {name: row.get(name) for name in PARAMETER_COLUMNS} for row in read_run_table(table)
         ]
-    elif view.traces.best is not None:
+    elif view.traces.shown is not None:
         declared = _declared(run_folder)
-        values = view.traces.best.values.items()
+        values = view.traces.shown.values.items()
         rows = [
             {"label": label, "value": value, **declared.get(label.partition("[")[0], {})}
             for label, value in values
@@ -173,9 +176,21 @@ def parameter_rows(run_folder: Path, view: RunView) -> list[dict[str, Any]]:
     traced = view.traces.values
     lines = {label: _thin([*enumerate(went)], SMALL_COLUMNS) for label, went in traced.items()}
     return [
-        _plain({**row, "line": lines.get(str(row["label"]), [])})
+        _plain(
+            {
+                **_explained(view.facts, "parameters", str(row["label"]).partition("[")[0]),
+                **row,
+                "line": lines.get(str(row["label"]), []),
+            }
+        )
         for row in rows[:MOST_PAGE_PARAMETERS]
     ]
+
+
+def _explained(facts: Mapping[str, Any], kind: str, name: str) -> dict[str, str]:
+    """Return unit and description of a parameter or an output, as the run has written them."""
+    known = ((facts.get("variables") or {}).get(kind) or {}).get(name) or {}
+    return {key: str(known.get(key, "")) for key in ("unit", "description")}
 
 
 def _declared(run_folder: Path) -> dict[str, dict[str, float]]:
@@ -203,8 +218,8 @@ def _busy(activity: LogActivity) -> list[dict[str, Any]]:
     ]
 
 
-def curves_state(curves: ExperimentCurves) -> dict[str, Any]:
-    """Return curves for the page."""
+def curves_state(curves: ExperimentCurves, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return curves for the page; `facts` of the run have units and descriptions."""
     return {
         "experiments": list(curves.experiments),
         "experiment": curves.experiment,
@@ -212,6 +227,7 @@ def curves_state(curves: ExperimentCurves) -> dict[str, Any]:
         "outputs": [
             {
                 "name": each.name,
+                **_explained(facts, "outputs", each.name),
                 **{
                     part: [_number(v) for v in getattr(each, part).tolist()]
                     for part in ("time", "measured", "fine", "after", "before")
@@ -258,7 +274,7 @@ class RunRow:
             "goes_on": goes_on,
             "verdict": facts.get("verdict"),
             "message": facts.get("message") or left_alone(self.path, str(facts["status"])),
-            "cost": best_cost(facts, traces),
+            "cost": best_cost(facts, traces.best),
             "data": _data_key(facts),
             "age": _age(facts.get("started")),
             "seconds": _known("seconds", facts, state),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.run_folder.run_progress import IterationLine
 from cluster_est.running.resources import BestPoint
 
@@ -41,6 +42,9 @@ class SearchTraces:
         (search, its evaluations, cost) of each line with a cost.
     best
         Best point over all searches of a fit; None before the first point.
+    declared
+        Last point of the first fit of the declared model in a closed loop; None before it. Later
+        searches of this name begin elsewhere, or fit parts of the records.
     lowest
         The best cost after each line of those searches.
     values
@@ -51,8 +55,20 @@ class SearchTraces:
     searches: dict[str, SearchView] = field(default_factory=dict)
     costs: list[tuple[str, int, float]] = field(default_factory=list)
     best: BestPoint | None = None
+    declared: BestPoint | None = None
     lowest: list[float] = field(default_factory=list)
     values: dict[str, list[float]] = field(default_factory=dict)
+    _is_declared_fitted: bool = False
+
+    @property
+    def shown(self) -> BestPoint | None:
+        """The best point of a fit; before a closed loop has results, that of the declared model."""
+        return self.declared if self.best is None else self.best
+
+    @property
+    def shown_model(self) -> str:
+        """The model of that point, if it need not be that of the result; otherwise ""."""
+        return "declared model" if self.best is None and self.declared is not None else ""
 
     def note(self, line: IterationLine) -> None:
         """Add a line."""
@@ -64,6 +80,9 @@ class SearchTraces:
             self.costs.append((line.search, line.evaluations, line.cost))
         if is_of_fit(line.search) and line.best is not None:
             self._improve(line.best)
+        if line.search == LoopStage.DECLARED_MODEL.value and not self._is_declared_fitted:
+            self.declared = line.best or self.declared
+            self._is_declared_fitted = bool(line.ending)
 
     def _improve(self, found: BestPoint) -> None:
         if self.best is None or found.rank < self.best.rank:

@@ -47,7 +47,7 @@ class KnownClaim:
     claimed
         Whether it was claimed; otherwise it is a lead.
     right, place
-        Whether it is right in place and kind; in place.
+        Whether it is right in place and law; in place.
     evidence
         Evidence for it.
     """

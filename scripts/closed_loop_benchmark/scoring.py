@@ -79,7 +79,7 @@ class Score:
     likely
         The sets with 90 % of the probability, if known: names, in words.
     claims
-        For each named effect or lead, whether it is claimed, right in place and kind, and right in
+        For each named effect or lead, whether it is claimed, right in place and law, and right in
         place; and its evidence (see `ClaimEvidence`).
     active, spans
         The active parts of the search, and the simulations before and after each call of one; None

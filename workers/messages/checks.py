@@ -69,12 +69,34 @@ def check_number(
         usual = " that fits into a double" if isinstance(value, int) else ""
         raise error(f"{where}: must be a finite number{usual}, but is {_plain(value)}")
     number = float(value)  # type: ignore[arg-type]
-    if not number > above:
-        raise error(f"{where}: must be greater than {above:g}, but is {number:g}")
-    if not number >= least:
-        raise error(f"{where}: must be at least {least:g}, but is {number:g}")
-    if not number < below:
-        raise error(f"{where}: must be less than {below:g}, but is {number:g}")
+    for kept, limit, words in (
+        (number > above, above, "greater than"),
+        (number >= least, least, "at least"),
+        (number < below, below, "less than"),
+    ):
+        if not kept:
+            wanted, given = told_apart(limit, number)
+            raise error(f"{where}: must be {words} {wanted}, but is {given}")
+
+
+def told_apart(*numbers: float) -> list[str]:
+    """Write numbers with six digits, or with all digits if two different numbers look equal."""
+    short = [f"{number:g}" for number in numbers]
+    exact = [repr(float(number)).removesuffix(".0") for number in numbers]
+    return short if len(set(short)) == len(set(exact)) else exact
+
+
+MOST_NAMES, MOST_CHARACTERS = 4, 40
+"""Most names, and most characters of them, in the short form of a value."""
+
+
+def few_names(names: Sequence[str]) -> str:
+    """Return the first few names, and the number of the others."""
+    kept = list(names[:MOST_NAMES])
+    while len(kept) > 1 and len(", ".join(kept)) > MOST_CHARACTERS:
+        kept.pop()
+    left = len(names) - len(kept)
+    return ", ".join(kept) + (f" and {left} more" if left else "")
 
 
 def check_choice(

@@ -23,9 +23,11 @@ from workers.messages.checks import (
     check_name,
     check_number,
     check_once,
+    few_names,
     is_finite,
     is_number,
     shown,
+    told_apart,
 )
 from workers.messages.signals import (
     Input,
@@ -168,9 +170,10 @@ class SignalBound:
                 if self.equality
                 else "not be above upper"
             )
+            low, high = told_apart(self.lower[i], self.upper[i])
             raise DataError(
-                f"{where}.lower, index {i}: must {must}, but they are {self.lower[i]:g} and "
-                f"{self.upper[i]:g}; change one of the two"
+                f"{where}.lower, index {i}: must {must}, but they are {low} and {high}; change one "
+                "of the two"
             )
 
     @property
@@ -303,6 +306,12 @@ class Experiment:
     gaps: GapRule = "split"
     own_starts: tuple[OwnStart, ...] = ()
     log_spread: float = 0.0
+
+    def __repr__(self) -> str:
+        inputs = few_names([given.variable for given in self.inputs])
+        outputs = few_names([output.variable for output in self.outputs])
+        span = f"{self.start:g} to {self.stop:g} s"
+        return f"Experiment({self.id}: {inputs or 'no input'} -> {outputs}; {span}; {self.role})"
 
     from_table: ClassVar[Callable[..., Experiment]]
     """Create an experiment from a table of pandas, polars or pyarrow, or from a dict of columns.
@@ -449,9 +458,10 @@ def _check_interval(experiment: Experiment, where: str) -> None:
     for key, time in (("start", start), ("stop", stop)):
         check_number(time, f"{where}.{key}", DataError)
     if not start < stop:
+        begin, end = told_apart(start, stop)
         raise DataError(
-            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
-            "one of the two"
+            f"{where}.start: must be before stop, which is {end} s, but is {begin} s; change one "
+            "of the two"
         )
     timed = [(f"outputs.{output.variable}", output.times) for output in experiment.outputs]
     timed += [
@@ -463,8 +473,8 @@ def _check_interval(experiment: Experiment, where: str) -> None:
     timed += [] if experiment.curve is None else [("curve", experiment.curve.times)]
     for key, times in timed:
         if len(times) and not start <= times[0] <= times[-1] <= stop:
+            begin, end, first, last = told_apart(start, stop, times[0], times[-1])
             raise DataError(
-                f"{where}.{key}: the times must lie between start and stop, {start:g} to {stop:g} "
-                f"s, but go from {times[0]:g} to {times[-1]:g} s; change start or stop, or leave "
-                "those samples out"
+                f"{where}.{key}: the times must lie between start and stop, {begin} to {end} s, "
+                f"but go from {first} to {last} s; change start or stop, or leave those samples out"
             )

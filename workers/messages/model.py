@@ -18,6 +18,7 @@ from workers.messages.checks import (
     check_name,
     check_number,
     check_text,
+    few_names,
     shown,
 )
 from workers.messages.types import Interface, ResetPolicy, SolverName, content_hash
@@ -195,6 +196,10 @@ class Model:
     working_folder: str = ""
     stop_time: bool | None = None
     seats: Seats | None = None
+
+    def __repr__(self) -> str:
+        named = few_names(self.parameters) or "no parameters"
+        return f"Model({self.name}: {named}; {self.interface}, {self.solver.name})"
 
     def __post_init__(self) -> None:
         if isinstance(self.archive, str | PathLike):

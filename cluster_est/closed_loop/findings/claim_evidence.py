@@ -111,7 +111,7 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
         f"{label} {percent(own.probability)}{' (its place)' if own.evidence.free else ''}"
         for label, own in known
     ]
-    text = f"probability that place and kind are right: {in_a_row(said)}"
+    text = f"probability that place and law are right: {in_a_row(said)}"
     leads = [label for label, own in known if not own.claimed]
     if not leads:
         return text

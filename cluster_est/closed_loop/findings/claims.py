@@ -119,7 +119,7 @@ class ClaimCalibration:
     curves
         Free curves: right if the place is right, whatever the law.
     leads, lead_places
-        Effects that were not claimed: right in place and kind, and right in place alone.
+        Effects that were not claimed: right in place and law, and right in place alone.
     """
 
     origin: str
@@ -149,6 +149,8 @@ right."""
 FEW = 40
 """If a group has fewer benchmark claims, the sentence says that they are few. By definition."""
 
+AGREEING = "a law that agrees with the true one on the data counts as right"
+
 CALIBRATION = ClaimCalibration(
     origin="306 claims in 128 cases of 26 systems, 60 of them wrong, 7 free curves, 78 leads",
     intercept=-2.37,
@@ -176,7 +178,7 @@ class Claim:
     Attributes
     ----------
     probability
-        Probability that place and kind are right; for a free curve, that the place is right. NaN
+        Probability that place and law are right; for a free curve, that the place is right. NaN
         for a lead.
     sentence
         The probability in words, and how many similar claims in the benchmark were right.
@@ -226,8 +228,8 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
     # the regression may extrapolate, so the share of right claims is an upper limit
     probability = min(probability, most.expected)
     said = (
-        f"place and kind are right with a probability of {percent(probability)}: "
-        f"{_of_alike(alike, called)}"
+        f"place and law are right with a probability of {percent(probability)}: "
+        f"{_of_alike(alike, called)} ({AGREEING})"
     )
     if probability < CLAIMED:
         said = f"this is a lead, not a claim: {said}"
@@ -242,7 +244,7 @@ def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Clai
     said = (
         f"this is a lead, not a claim: of {right.of} leads in the benchmark{few}, in which the "
         f"missing effect is known, {right.right} ({right.right / right.of:.0%}) {were} right in "
-        f"place and kind, and {place.right} ({place.right / place.of:.0%}) at least in place"
+        f"place and law, and {place.right} ({place.right / place.of:.0%}) at least in place"
     )
     return Claim(np.nan, said, evidence)
 

@@ -20,6 +20,7 @@ from cluster_est.problem.display import in_a_row, percent, plain_number
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.statistics.choice_shares import LinearFit, choice_shares
+from workers.effects.forms import FORMS
 from workers.messages import Effect, IntArray
 
 SHARE = 0.9
@@ -100,8 +101,12 @@ def likely_structures(path: Sequence[ComparedStructure]) -> tuple[ComparedStruct
     return tuple(likely)
 
 
-def likely_sentence(path: Sequence[ComparedStructure]) -> str:
-    """Say which sets of effects are likely; "" if no probabilities are known."""
+def likely_sentence(path: Sequence[ComparedStructure], *, claims: bool = False) -> str:
+    """Say which sets of effects are likely; "" if no probabilities are known.
+
+    With `claims`, effects are printed with the probability that each of them is right. That is a
+    different probability, and the sentence says so.
+    """
     likely = likely_structures(path)
     if not likely:
         return ""
@@ -114,10 +119,33 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
             *named[: MOST_NAMED_SETS - 1],
             f"at most this much for each of {len(named) - MOST_NAMED_SETS + 1} other sets",
         ]
-    return (
+    said = (
         f"{count} sets of effects were compared; with an allowance for model errors, the "
         f"probability is {in_a_row(named)}"
     )
+    shared = _shared_families(likely) if len(likely) > 1 else []
+    said += f"; each of them has {in_a_row(shared)}" if shared else ""
+    return said + ("; " + OTHER_PROBABILITY if claims else "")
+
+
+OTHER_PROBABILITY = (
+    "this compares exactly these sets by their fits; the probability that an effect is right comes "
+    "from similar claims, and also counts laws that agree on the data"
+)
+
+
+def _shared_families(likely: Sequence[ComparedStructure]) -> list[str]:
+    """Return what all sets have in common, such as "friction at der(v)"; [] if they differ."""
+    shared, *others = {tuple(sorted(map(_family, each.effects))) for each in likely}
+    return [] if others or not all(shared) else list(shared)
+
+
+def _family(label: str) -> str:
+    """Return the family and the site of a label, "coulomb(w) at der(v)"; "" if not known."""
+    called, _, site = label.partition(" at ")
+    name = called.partition("(")[0]
+    families = {form.family for (_, known), form in FORMS.items() if known == name}
+    return f"{families.pop()} at {site}" if len(families) == 1 else ""
 
 
 MOST_COMPETING = 6

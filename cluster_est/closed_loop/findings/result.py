@@ -231,7 +231,9 @@ class LoopResult(ResultView):
             "verdict": self.verdict.value,
             "summary": self.message,
             "effects": [_effect_facts(effect) for effect in self.effects],
-            "likely": likely_sentence(self.structures),
+            "likely": likely_sentence(
+                self.structures, claims=any(effect.claim is not None for effect in self.effects)
+            ),
             "resampled": self.resampled,
             "process_noise": [dataclasses.asdict(each) for each in self.process_noise],
             "competing": [model.facts() for model in self.competing],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -31,6 +32,7 @@ from cluster_est.problem.tables.measured_table import (
     named_columns,
     repeated,
 )
+from cluster_est.problem.tables.several_files import clock_notes, join_files, timed_files
 from workers.fmu.description import nearest
 from workers.messages import (
     Experiment,
@@ -53,6 +55,9 @@ from workers.messages.checks import (
     is_number,
     shown,
 )
+
+IN_MEMORY = "the table"
+"""Name of a table that is no file, in messages."""
 
 
 def table_of(given: Any, where: str) -> MeasuredTable:
@@ -81,7 +86,7 @@ def table_of(given: Any, where: str) -> MeasuredTable:
             pairs.insert(0, (name, index.to_series()))
         return _from_columns(pairs)
     if hasattr(given, "__arrow_c_stream__") or isinstance(given, pa.RecordBatch):
-        return named_columns("the table", pa.table(given))
+        return named_columns(IN_MEMORY, pa.table(given))
     raise DataError(
         f"{where}: must be a pandas, polars or pyarrow table, a dict of columns or a path, but is "
         f"{type(given).__name__!r}; convert it"
@@ -114,7 +119,7 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             unusable[name] = f"must hold numbers, but cannot be read ({reason})"
-    return MeasuredTable("the table", columns, unusable)
+    return MeasuredTable(IN_MEMORY, columns, unusable)
 
 
 Columns = Mapping[str, str | Mapping[str, Any]] | Sequence[str]
@@ -165,7 +170,9 @@ def experiment_from_table(
     ----------
     table
         A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, a result of
-        `read_table`, or the path of a file.
+        `read_table`, or the path of a file. A list of these: the files of one test, each with its
+        own times in the column `time`. A column whose name is in several files gets the part of the
+        file's name that differs: "speed.value"; without files, "1.value" for the first table.
     id
         Name of the experiment.
     outputs
@@ -235,7 +242,17 @@ def experiment_from_table(
         time = _index_name(table)
     _check_times(time, sample_time, start, stop, where)
     changes, absent = _changes(columns, where), _missing(missing, where)
-    reader = MeasuredColumns(_table(table, where), where, _rows(rows, where), changes, absent)
+    chosen = _rows(rows, where)
+    if isinstance(table, list | tuple) and len(table) > 1:
+        if time is None or chosen is not None:
+            raise DataError(
+                f"{where}: several tables of one test need time, and no rows, but time is {time!r} "
+                f"and rows is {chosen}; name the time column, and leave rows out"
+            )
+        whole, changes = _joined(table, time, changes, where)
+    else:
+        whole = _table(table[0] if isinstance(table, list | tuple) and table else table, where)
+    reader = MeasuredColumns(whole, where, chosen, changes, absent)
     counted = next(iter(wanted["outputs"].values()))["column"]
     times = reader.times(time, sample_time, counted)
     measured = [
@@ -264,6 +281,28 @@ def experiment_from_table(
         gaps=gaps,
         cost_function=cost_function,  # type: ignore[arg-type]
     )
+
+
+def _joined(
+    tables: Sequence[Any], time: str, changes: dict[str, ColumnChange], where: str
+) -> tuple[MeasuredTable, dict[str, ColumnChange]]:
+    """Join the tables of one test, and warn of differences between their clocks.
+
+    The changes of the time column are applied to each table, so they are removed.
+    """
+    read = [_table(each, where) for each in tables]
+    named = [
+        replace(each, path=f"table {number}") if each.path == IN_MEMORY else each
+        for number, each in enumerate(read, 1)
+    ]
+    change = changes.get(time, ColumnChange())
+    files = timed_files(named, time, where, (change.factor, change.offset))
+    whole = join_files(files, time)
+    for said in clock_notes(files):
+        warnings.warn(f"{where}: {said}", stacklevel=3)
+    done = {time, *whole.clocks.values()}
+    kept = {name: each for name, each in changes.items() if name not in done}
+    return whole, dict.fromkeys(done, ColumnChange()) | kept
 
 
 def _table(table: Any, where: str) -> MeasuredTable:

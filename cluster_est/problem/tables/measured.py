@@ -21,6 +21,7 @@ from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
 from cluster_est.problem.tables.units import column_unit
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
+from workers.messages.checks import told_apart
 from workers.messages.signals import check_length, check_times, refuse_value
 
 SAME_TIME = 1e-9
@@ -356,8 +357,9 @@ def interval(
     if stop is None:
         stop = float(max((o.times[-1] for o in outputs if len(o.times)), default=times[-1]))
     if not start < stop:
+        begin, end = told_apart(start, stop)
         raise DataError(
-            f"{where}.start: must be before stop, which is {stop:g} s, but is {start:g} s; change "
+            f"{where}.start: must be before stop, which is {end} s, but is {begin} s; change "
             "one of them, or leave both out to take them from the data"
         )
     return start, stop

@@ -154,6 +154,17 @@ def _notes(files: Sequence[TimedFile]) -> Iterator[str]:
     yield from (f"{each.name}: {said}" for each in files for said in each.table.notes)
     if files[0].times.said:
         yield files[0].times.said
+    yield from clock_notes(files)
+
+
+def clock_notes(files: Sequence[TimedFile]) -> Iterator[str]:
+    """Yield what the times of the files show, or do not show, about their clocks.
+
+    Raises
+    ------
+    DataError
+        If files have no time in common.
+    """
     yield from clock_differences(files)
     if files[0].times.origin is None and all(each.known[0] == 0.0 for each in files):
         yield (

@@ -81,7 +81,7 @@ def test_the_effect_says_how_sure_it_is(closed, capsys):
     assert known["probability"] > 0.8
     assert known["evidence"]["effects"] == 1
     assert {row["probability"] for row in rows(closed[1], "effects")} == {known["probability"]}
-    assert "place and kind are right: coulomb at der(v) " in facts(closed[1])["summary"]
+    assert "place and law are right: coulomb at der(v) " in facts(closed[1])["summary"]
     assert main(["show", str(closed[1])]) == 0
     assert f"  {known['sentence']}" in capsys.readouterr().out
 

@@ -116,7 +116,7 @@ def test_command_run_json_and_report_say_it(tmp_path, capsys):
     assert said["residuals"]["too_narrow"] is True
     (sentence,) = said["residuals"]["sentences"]
     assert "no sigma is declared" in sentence
-    assert "cluster-est close-loop CONFIG --out FOLDER" in sentence
+    assert "use cluster-est close-loop" in sentence
     assert sentence in said["notes"]
     assert f"note: {sentence}" in printed
     assert HEADER in printed

@@ -1,3 +1,4 @@
+import json
 import re
 import shutil
 from math import nan
@@ -10,8 +11,10 @@ from support.drawn import Figures
 from support.reported import Page
 from support.run_folders import change_facts, facts, rows
 
+from cluster_est.cli import main
 from cluster_est.html_report.number_text import digits, percent
 from cluster_est.html_report.page import write_report
+from cluster_est.studies.save_report_export import NO_CONFIG
 
 
 @pytest.fixture(scope="module")
@@ -70,15 +73,43 @@ def test_doubts_take_the_green_and_follow_the_headline(copied, doubts, tone, ver
 @pytest.mark.parametrize(
     ("change", "step"),
     [
-        ({"doubts": []}, "cluster-est export RUN"),
-        ({"residuals": {"too_narrow": True, "outputs": []}}, "cluster-est close-loop CONFIG"),
+        ({"doubts": []}, "cluster-est export {run} --fmu fitted.fmu"),
+        (
+            {"residuals": {"too_narrow": True, "outputs": []}},
+            "cluster-est close-loop {run}/config.toml --out {run}-loop",
+        ),
         ({"status": "not converged"}, "a larger budget"),
     ],
 )
-def test_it_says_what_to_do_next(copied, change, step):
+def test_it_says_what_to_do_next_with_commands_to_paste(copied, capsys, change, step):
     change_facts(copied, **change)
+    step = step.format(run=copied)
     said = Page(write_report(copied)).text.partition("What next")[2].partition("The worst")[0]
     assert step in said
+    assert main(["show", str(copied)]) == 0
+    assert step in capsys.readouterr().out
+
+
+def test_commands_in_the_terminal_name_the_folder_as_it_was_given(copied, capsys, monkeypatch):
+    change_facts(copied, doubts=[])
+    monkeypatch.chdir(copied.parent)
+    folder = copied.rename(copied.parent / "my run")
+    assert main(["show", "my run", "--json"]) == 0
+    steps = json.loads(capsys.readouterr().out)["next"]
+    assert {"text": "Export the fitted model.",
+            "command": "cluster-est export 'my run' --fmu fitted.fmu"} in steps  # fmt: skip
+    monkeypatch.chdir(folder)
+    change_facts(folder, residuals={"too_narrow": True, "outputs": []})
+    assert main(["show", "."]) == 0
+    assert f"close-loop config.toml --out '{folder}-loop'" in capsys.readouterr().out
+
+
+def test_a_run_saved_from_python_has_no_config_for_a_command(copied):
+    (copied / "config.toml").write_text(NO_CONFIG)
+    change_facts(copied, residuals={"too_narrow": True, "outputs": []})
+    text = Page(write_report(copied)).text
+    assert "See what the model lacks." in text
+    assert "cluster-est close-loop" not in text
 
 
 def test_parameters_that_are_not_determined_or_at_a_bound_have_no_uncertainty(copied):

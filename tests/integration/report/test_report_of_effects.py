@@ -76,7 +76,7 @@ def test_its_equation_picture_and_coefficients_stand_on_the_first_screen(closed,
     assert text.count("der(v) += -k * tanh(v / width) With k = 0.60") == 1
     assert "der(v) += -k * tanh(v / width) With k = 0.60" in head
     assert "coulomb_v.k Coulomb friction 0.60" in head
-    assert "cluster-est export RUN" in head
+    assert f"cluster-est export {closed} --fmu repaired.fmu" in head
     drawn = [figure.attributes.get("id") for figure in figures.found]
     assert drawn[:3] == ["shape-coulomb_v-0", "held-out", "worst"]
     assert drawn.count("shape-coulomb_v-0") == 1

@@ -1,4 +1,5 @@
 import re
+import shutil
 from urllib.parse import unquote
 
 import pyarrow as pa
@@ -6,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.drawn import Figures
 from support.reported import HOSTILE, Page
-from support.run_folders import rows
+from support.run_folders import change_facts, facts, rows
 from support.truth.springs_with_friction import write_config
 
 from cluster_est.cli import main
@@ -190,6 +191,53 @@ def test_parameters_left_out_are_in_the_report_of_the_best_run(fits, monkeypatch
     text = Page(page_of(fits)).text
     assert "more: see the report of the best run." in text
     assert "see Parameters" not in text  # a sweep has no such section
+
+
+def test_what_to_do_next_is_that_of_the_best_run(fits):
+    said = Page(page_of(fits)).text.partition("What next")[2]
+    best = Page(page_of(fits)).text.partition("Best of 2 runs: ")[2].partition(".")[0]
+    run = fits / best
+    assert f"cluster-est close-loop {run}/config.toml --out {run}-loop" in said
+
+
+def other_data(run, name):
+    """Give a run another held-out experiment, or the same one with other samples."""
+    keys = facts(run)["experiments"]
+    change_facts(run, experiments=keys | {"run2": f"{keys['run2']} {name}"})
+
+
+def test_only_runs_on_the_same_data_are_compared(fits, tmp_path):
+    """Two runs on each of two sets of data, and one alone on a third."""
+    sweep = tmp_path / "results"
+    table = pq.read_table(fits / "summary.parquet").to_pylist()
+    listed = []
+    for config, of in (("a", 0), ("a", 1), ("b", 0), ("b", 1), ("c", 0)):
+        run = f"{config}-{of}"
+        shutil.copytree(fits / table[of]["run"], sweep / run)
+        other_data(sweep / run, config)
+        listed.append(table[of] | {"run": run, "config": config})
+    pq.write_table(pa.Table.from_pylist(listed), sweep / "summary.parquet")
+    text = Page(page_of(sweep)).text
+    assert "5 of 5 runs reached a solution, on 3 different sets of data" in text
+    assert "Best of" not in text
+    assert "Runs on different data are not compared with each other." in text
+    assert len(re.findall(r"The best of 2 runs on the same data is [ab]-[01]\.", text)) == 2
+    assert len(re.findall(r"The 2 runs with [ab] (dis)?agree", text)) == 2
+    assert "The runs agree" not in text
+    assert "Errors of the runs, by their data" in text
+    figure = Figures(sweep / "report.html").by_id("errors-of-runs")
+    assert {each["run"] for each in listed} <= {*figure.texts}  # not "all" and "one" twice
+    assert "The report of the best run" not in text
+
+
+def test_estimates_of_different_models_need_not_agree(fits, tmp_path):
+    sweep = tmp_path / "results"
+    shutil.copytree(fits, sweep)
+    fmu = facts(sweep / "config-one")["fmu"]
+    change_facts(sweep / "config-one", fmu=fmu | {"sha256": "another"})
+    text = Page(page_of(sweep)).text
+    assert "Best of 2 runs: config-" in text  # their errors on the same data are comparable
+    assert "agree" not in text
 
 
 def test_small_differences_look_small(tmp_path):

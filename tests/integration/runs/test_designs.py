@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support.designs import design_of, designed, limits_text, read_text
 from support.problems.springs import ROOT
+from support.reported import Page
 from support.run_folders import SPRING, change_facts, facts, rows, tables
 
 import cluster_est as ce
@@ -163,6 +164,18 @@ def test_the_block_that_is_printed_makes_it_one_more_experiment(folder):
     assert last.id == "next"
     assert [given.variable for given in last.inputs] == ["F"]
     assert last.outputs[0].values == pytest.approx(0.01)
+
+
+def test_the_page_and_the_terminal_name_the_table_the_config_and_the_command(folder):
+    printed = (folder / "printed.txt").read_text(encoding="utf-8")
+    page = Page(folder / "next" / "report.html").text
+    again = f"cluster-est close-loop {CONFIG.resolve()} --out {folder / 'next-loop'}"
+    block = printed[printed.index("[[experiments]]") :]
+    assert f"Run the experiment with the input in {folder / 'next.csv'}, write" in page
+    for text in (printed, page):
+        assert again in text
+        assert f"add the experiment to {CONFIG.resolve()}, and" in text
+    assert " ".join(block.split()) in page
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from cluster_est.cli import main
 from cluster_est.methods.method import Progress
 from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.run_folder.run_progress import ProgressFile, ProgressTail
 from cluster_est.running.resources import BestPoint, RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.watching.server import LivePage
 from workers.messages import Outcome, Status, Task
@@ -187,6 +188,7 @@ def test_its_figures_move_while_the_run_goes_on(begun, monkeypatch):
         assert m["value"] is None
         assert later["failures"][0] == {
             "count": 3, "status": "timeout", "message": "too long", "first": 0,
+            "command": f"cluster-est replay {begun.path} 0",
         }  # fmt: skip
         assert [each["worker"] for each in later["busy_shares"]] == ["w0"]
 
@@ -201,6 +203,51 @@ def test_costs_of_other_models_and_of_refits_are_no_best_cost(begun):
         state = Visitor(page).state()
     assert state["cost"] == 4.0  # the other start keeps no constraint
     assert [line["name"] for line in state["costs"]["lines"]] == ["start 0", "start 1"]
+
+
+def test_a_closed_loop_shows_the_first_fit_of_its_declared_model(begun):
+    """Later searches of that name fit parts of the records, so their costs are lower."""
+    with LivePage(begun.path) as page:
+        for number, (cost, k, ending) in enumerate(
+            [(5.0, 1.0, ""), (2.0, 3.0, "converged"), (0.1, 9.0, ""), (0.05, 8.0, "converged")]
+        ):
+            best = BestPoint(cost, 0.0, {"k": k})
+            begun.note(SearchIteration("base", Progress(number % 2, cost, ending=ending), 3, best))
+        begun.note(SearchIteration("trial", Progress(0, 0.01), 3, BestPoint(0.01, 0.0, {"k": 7.0})))
+        state = Visitor(page).state()
+    assert (state["cost"], state["cost_of"]) == (2.0, "declared model")
+    (k,) = state["parameters"]
+    assert (k["label"], k["value"], k["line"]) == ("k", 3.0, [])
+    assert (k["unit"], k["description"]) == ("N/m", "stiffness of the spring")
+
+
+def test_curves_of_the_declared_model_are_shown_before_the_first_effect(configured, on_its_way):
+    (on_its_way / "progress.jsonl").unlink()
+    file = ProgressFile(on_its_way / "progress.jsonl")
+    tail = ProgressTail(configured / "progress.jsonl")
+    for line in tail.new():
+        if line.search == "train" and line.best is not None:
+            step = Progress(line.iteration, line.cost, ending=line.ending)
+            file.iteration(SearchIteration("base", step, line.evaluations, line.best))
+    with LivePage(on_its_way) as page:
+        found = Visitor(page).state("/curves", experiment="exp2")
+    assert found["said"].endswith("with the declared model, as it was fitted first.")
+    (curve,) = found["outputs"]
+    assert (curve["unit"], curve["description"]) == ("m", "measured displacement")
+    table = pq.read_table(configured / "residuals.parquet").to_pandas()
+    own = table[table.experiment == "exp2"].set_index("time")
+    np.testing.assert_allclose(
+        curve["after"], own.simulated[curve["fine"]], atol=1e-3 * own.measured.abs().max()
+    )
+
+
+@pytest.mark.parametrize("folder", ["configured", "on_its_way"])
+def test_parameters_and_outputs_have_their_units_and_descriptions(folder, request):
+    with LivePage(request.getfixturevalue(folder)) as page:
+        rows = {row["label"]: row for row in Visitor(page).state()["parameters"]}
+        (curve,) = Visitor(page).state("/curves")["outputs"]
+    assert (rows["c"]["unit"], rows["c"]["description"]) == ("N.s/m", "viscous damping")
+    assert (rows["x0[exp5]"]["unit"], curve["unit"]) == ("m", "m")
 
 
 def test_the_best_point_in_the_folder_is_that_of_the_fit(configured):

@@ -1,4 +1,5 @@
 import io
+import json
 import os
 import shutil
 import signal
@@ -11,7 +12,7 @@ import pytest
 from rich.console import Console
 from support.problems.springs import spring_problem
 from support.reported import fitted_run
-from support.run_folders import change_facts
+from support.run_folders import change_facts, facts
 
 from cluster_est.cli import main
 from cluster_est.cli.watch_command import WatchTable, follow, rendered
@@ -201,3 +202,24 @@ def test_a_watcher_reads_what_the_terminal_of_the_run_says(begun):
     )
     assert said in text_of(RunFollower(begun.path).look())
     assert said in line_of(AT_MOST, Budget())
+
+
+def test_a_folder_of_runs_is_one_document(ended, tmp_path, capsys):
+    for name in "ab":
+        shutil.copytree(ended, tmp_path / name)
+    change_facts(tmp_path / "b", status="running")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "run.json").write_text("{")
+    assert main(["watch", str(tmp_path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    a, b, broken = told["runs"]
+    assert told["run"] == str(tmp_path)
+    assert (a["name"], a["status"], b["name"], b["status"]) == ("a", "done", "b", "running")
+    assert a["cost"] == facts(ended)["cost"]
+    assert a["data"] == b["data"]
+    assert (broken["name"], broken["status"]) == ("broken", "unreadable")
+    assert [said.partition(":")[0] for said in told["sentences"]] == ["a", "b", "broken"]
+    assert main(["watch", str(ended), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"] is None
+    (tmp_path / "empty").mkdir()
+    assert main(["watch", str(tmp_path / "empty"), "--json"]) == 2

@@ -222,7 +222,8 @@ def test_a_saved_run_is_that_of_the_command(tmp_path):
     check_tables(found, saved)
     mine, theirs = (json.loads((at / "run.json").read_text()) for at in (saved, by_command))
     assert mine.keys() == theirs.keys()
-    for name in mine.keys() - {"checksum", "started", "seconds", "config_hash", "config_folder"}:
+    own = {"checksum", "started", "seconds", "config_hash", "config_folder", "config_file"}
+    for name in mine.keys() - own:
         different = name in ("reset_policy", "sensitivities")  # only a run says how it was chosen
         assert different or mine[name] == theirs[name], name
     assert list(found.notes) == mine["notes"]

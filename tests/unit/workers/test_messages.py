@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from workers.messages import (
     Solver,
     UserFunction,
 )
+from workers.messages.checks import told_apart
 from workers.messages.signals import check_times
 
 T = np.linspace(0.0, 1.0, 5)
@@ -236,6 +238,11 @@ EFFECT = {"name": "f", "site": "der(v)"}
                 ({"stop": 10**400}, "'a'.stop: must be a finite number.*1000"),
                 ({"stop": 0.5}, "'a'.outputs.y: .* must lie between start and stop, 0 to 0.5 s"),
                 ({"start": 0.5}, "'a'.outputs.y: .* must lie between start and stop, 0.5 to 1 s"),
+                (
+                    {"stop": 1.0 - 2**-53},
+                    "and stop, 0 to 0.9999999999999999 s, but go from 0 to 1 s",
+                ),
+                ({"start": 1.0 + 2**-52}, "stop, which is 1 s, but is 1.0000000000000002 s"),
                 ({"curve": Curve(("y",), [[0], [1]], [0, 2])}, "'a'.curve: .*from 0 to 2 s"),
                 (
                     {"bounds": [SignalBound("b", "y", [-1, 0], [0, 0], [1, 1])]},
@@ -356,3 +363,30 @@ def test_a_model_or_solver_that_cannot_be_is_refused(kind, given, change, said):
 def test_an_effect_is_made_of_texts_and_numbers(change, said):
     with pytest.raises(EffectError, match=f"^(effect )?{said}"):
         Effect(**EFFECT | change)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "texts"),
+    [
+        ((0.5, 1.0, 1e9), ["0.5", "1", "1e+09"]),
+        ((0.1, 0.1), ["0.1", "0.1"]),
+        ((1.0, 1.0 + 2**-52), ["1", "1.0000000000000002"]),
+        ((1234567.0, 1234568.0, np.inf), ["1234567", "1234568", "inf"]),
+        ((np.float64(0.1), np.nan), ["0.1", "nan"]),
+    ],
+)
+def test_different_numbers_look_different(numbers, texts):
+    assert told_apart(*numbers) == texts
+
+
+def test_models_and_experiments_are_shown_in_a_few_words():
+    signals = [Input(f"signal_{i}", T, T) for i in range(30)]
+    many = replace(Experiment(**EXPERIMENT), inputs=signals)
+    assert repr(Experiment(**EXPERIMENT)) == "Experiment(a: F -> y; 0 to 1 s; train)"
+    assert repr(many) == (
+        "Experiment(a: signal_0, signal_1, signal_2, signal_3 and 26 more -> y; 0 to 1 s; train)"
+    )
+    names = [f"a_very_long_name_of_a_parameter_{i}" for i in range(30)]
+    model = Model("a.fmu", b"PK", "model_exchange", Solver("cvode"), names)
+    assert repr(model) == f"Model(a.fmu: {names[0]} and 29 more; model_exchange, cvode)"
+    assert max(len(repr(each)) for each in (many, model)) <= 120

@@ -91,9 +91,7 @@ def test_words_and_sentence_stand_for_the_equation(printed, page):
 
 
 def test_effects_and_leads_say_how_often_such_were_right(printed, page):
-    sure = (
-        "place and kind are right with a probability of 92 %: of 54 similar claims, 51 were right"
-    )
+    sure = "place and law are right with a probability of 92 %: of 54 similar claims, 51 were right"
     lead = "this is a lead, not a claim: of 75 leads in the benchmark, 12 were right"
     found = LOOP | {"effects": [EFFECT | {"claim": {"sentence": sure}}]}
     assert f"  {sure}" in printed(found)

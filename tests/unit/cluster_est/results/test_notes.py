@@ -48,7 +48,7 @@ def noted(result):
     [
         (MISSING,
          "y: error is 3 x sigma.*autocorrelated at lag 1 with 0.9.*something is missing from the "
-         "model, so these intervals are too narrow.*close-loop CONFIG --out FOLDER.*"
+         "model, so these intervals are too narrow.*use cluster-est close-loop.*"
          "close_loop.problem", "coloured"),
         (RELATED,
          "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured .the "

@@ -49,7 +49,12 @@ def test_what_speaks_against_an_effect_makes_its_claim_less_sure(known, worse):
 def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
     assert sure.probability == pytest.approx(39 / 42)
-    assert sure.sentence.endswith("of 40 similar claims in the benchmark, 38 were right")
+    assert sure.sentence.endswith(
+        f"of 40 similar claims in the benchmark, 38 were right {AGREEING}"
+    )
+
+
+AGREEING = "(a law that agrees with the true one on the data counts as right)"
 
 
 @pytest.mark.parametrize(("effects", "of"), [(3, 50), (1, 40)])
@@ -58,7 +63,7 @@ def test_a_claim_says_how_many_like_it_were_right(effects, of):
     found = claim(replace(EVIDENCE, effects=effects), known)
     assert f"of {of} similar claims in the benchmark" in found.sentence
     assert found.sentence.startswith(
-        f"place and kind are right with a probability of {100 * found.probability:.0f} %"
+        f"place and law are right with a probability of {100 * found.probability:.0f} %"
     )
 
 
@@ -74,8 +79,8 @@ def test_a_claim_in_doubt_is_no_surer_than_those_of_the_benchmark(doubt):
     assert found.probability == pytest.approx(10 / 23)
     assert not found.claimed
     assert found.sentence == (
-        "this is a lead, not a claim: place and kind are right with a probability of 43 %: of 21 "
-        "equally doubtful claims in the benchmark (a small number), 9 were right"
+        "this is a lead, not a claim: place and law are right with a probability of 43 %: of 21 "
+        f"equally doubtful claims in the benchmark (a small number), 9 were right {AGREEING}"
     )
     doubted = claim(replace(EVIDENCE, left=40.0, effects=4), replace(KNOWN, intercept=-3.0))
     assert doubted.probability < 10 / 23
@@ -100,7 +105,7 @@ def test_a_lead_is_no_claim_and_has_no_probability():
     assert np.isnan(found.probability)
     assert found.sentence == (
         "this is a lead, not a claim: of 75 leads in the benchmark, in which the missing effect "
-        "is known, 12 (16%) were right in place and kind, and 33 (44%) at least in place"
+        "is known, 12 (16%) were right in place and law, and 33 (44%) at least in place"
     )
 
 
@@ -179,7 +184,7 @@ def test_the_summary_says_how_sure_each_effect_is():
     curve = replace(GAIN, family="table")
     found = with_claims([FRICTION, curve], [ERROR, HELD_OUT], ROWS, declared=True, claimed=True)
     said = how_sure(found, claimed=True)
-    assert said.startswith("probability that place and kind are right: coulomb at der(v) ")
+    assert said.startswith("probability that place and law are right: coulomb at der(v) ")
     assert said.endswith("(its place)")
     loud = replace(HELD_OUT, normalised_after=9.0)
     doubtful = with_claims([FRICTION], [ERROR, loud], ROWS, declared=True, claimed=True)

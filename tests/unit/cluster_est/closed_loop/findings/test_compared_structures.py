@@ -100,6 +100,35 @@ def test_a_sentence_names_a_few():
     assert "e4" not in said
 
 
+LAWS = ("coulomb at der(v)", "asymmetric_coulomb(w) at der(v)", "stribeck at der(v)")
+
+
+@pytest.mark.parametrize(
+    ("names", "shared"),
+    [
+        (LAWS, "; each of them has friction at der(v)"),
+        ((*LAWS[:2], "quadratic at der(v)"), ""),  # a drag
+        ((*LAWS[:2], "coulomb at der(w)"), ""),
+        ((*LAWS[:2], "mine at der(v)"), ""),  # not of the library
+        (("gain at output y+" + LAWS[0], LAWS[1] + "+gain at output y"),
+         "; each of them has friction at der(v) and gain at output y"),
+        (LAWS[:1], ""),
+    ],
+)  # fmt: skip
+def test_a_sentence_says_what_all_likely_sets_share(names, shared):
+    path = with_probabilities(compared(*((name, -5000.0) for name in names)), 0.0)
+    assert likely_sentence(path).partition(";")[2].partition(";")[2] == shared.removeprefix(";")
+
+
+def test_a_sentence_tells_the_probability_of_a_set_from_that_of_a_claim():
+    path = with_probabilities(compared((LAWS[0], -5000.0), (LAWS[2], -5000.0)), 0.0)
+    assert likely_sentence(path, claims=True) == (
+        f"{likely_sentence(path)}; this compares exactly these sets by their fits; the probability "
+        "that an effect is right comes from similar claims, and also counts laws that agree on the "
+        "data"
+    )
+
+
 def test_nothing_is_said_where_nothing_is_known():
     assert likely_structures(PATH) == ()
     assert likely_sentence(PATH) == ""

@@ -235,6 +235,75 @@ def test_times_count_from_the_first_row(kind):
     np.testing.assert_allclose(rows.inputs[0].times, [first, first + 0.5], atol=1e-6)
 
 
+FAST, SLOW = np.arange(41) * 0.05, 0.02 + np.arange(20) * 0.1
+CHANNELS = {"time": "t", "inputs": {"F": "force"}, "outputs": {"y": "position"}, "id": "a"}
+
+
+def channels(folder, later=0.0):
+    """Two channels of one test, each with its own times: as tables, as files, and their names."""
+    tables = [
+        {"t": FAST, "force": np.sin(FAST)},
+        {"t": SLOW + later, "position": np.cos(SLOW)},
+    ]
+    files = [folder / "run_f.csv", folder / "run_p.csv"]
+    for table, file in zip(tables, files, strict=True):
+        pd.DataFrame(table).to_csv(file, index=False)
+    frames = [pd.DataFrame(table) for table in tables]
+    return {"dicts": tables, "frames": frames, "files": files, "names": [*map(str, files)],
+            "both": (frames[0], files[1])}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["dicts", "frames", "files", "names", "both"])
+def test_tables_of_one_test_keep_their_own_times(tmp_path, kind):
+    found = ce.Experiment.from_table(channels(tmp_path)[kind], **CHANNELS)
+    np.testing.assert_allclose(found.inputs[0].times, FAST, atol=1e-9)
+    np.testing.assert_allclose(found.outputs[0].times, SLOW, atol=1e-9)
+    np.testing.assert_allclose(found.outputs[0].values, np.cos(SLOW))
+
+
+def test_a_factor_of_their_time_is_applied_once(tmp_path):
+    tables = [{**each, "t": 1e3 * each["t"]} for each in channels(tmp_path)["dicts"]]
+    changes = {"t": {"factor": 1e-3}, "position": {"factor": 10.0}}
+    found = ce.Experiment.from_table(tables, **CHANNELS, columns=changes)
+    np.testing.assert_allclose(found.inputs[0].times, FAST, atol=1e-9)
+    np.testing.assert_allclose(found.outputs[0].times, SLOW, atol=1e-9)
+    np.testing.assert_allclose(found.outputs[0].values, 10.0 * np.cos(SLOW))
+
+
+def test_a_column_of_several_tables_has_the_part_of_its_file_or_the_number(tmp_path):
+    tables = [{"t": t, "value": np.sin(t)} for t in (FAST, SLOW)]
+    given = CHANNELS | {"inputs": {"F": "1.value"}, "outputs": {"y": "2.value"}}
+    found = ce.Experiment.from_table(tables, **given)
+    np.testing.assert_allclose(found.outputs[0].values, np.sin(SLOW))
+
+
+@pytest.mark.parametrize(
+    ("later", "said"),
+    [(1.5, "table 2 were 1.52 s ahead; nothing was corrected"), (-0.02, "begin at 0")],
+)
+def test_clocks_that_may_differ_are_a_warning(tmp_path, later, said):
+    with pytest.warns(UserWarning, match=f"experiment 'a': .*{said}"):
+        ce.Experiment.from_table(channels(tmp_path, later)["dicts"], **CHANNELS)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"time": None, "sample_time": 0.1}, "need time, and no rows, but time is None"),
+        ({"rows": (0, 5)}, r"and rows is \(0, 5\)"),
+        ({"time": "when"}, "every file of a test needs this column"),
+    ],
+)
+def test_tables_of_one_test_need_their_times(tmp_path, change, said):
+    with pytest.raises(DataError, match=said):
+        ce.Experiment.from_table(channels(tmp_path)["frames"], **CHANNELS | change)
+
+
+def test_tables_without_a_common_time_are_refused(tmp_path):
+    with pytest.raises(DataError, match="no time in common"):
+        ce.Experiment.from_table(channels(tmp_path, 5.0)["dicts"], **CHANNELS)
+
+
 def test_an_index_of_times_without_a_name_is_a_column():
     frame = pd.DataFrame(COLUMNS, index=WHEN).drop(columns="t")
     found = ce.Experiment.from_table(frame, **GIVEN | {"time": "index"})
