@@ -71,6 +71,10 @@ FIRST_DAMPING = 1e-5
 """Damping of the first step, over the squares of the derivatives. With it, unknowns that the other
 parts do not determine keep their values."""
 
+ALONE = 0.01
+"""Share of the squared derivatives of a curve's value below which the other parts do not determine
+it. By definition: its standard error without the left-out part is ten times as large."""
+
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 BETTER_PARTS = 2.0 / 3.0
@@ -135,7 +139,11 @@ def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
     if not whole:
         unknowns = fitted.space.unknowns
         held[:] = [is_start_value(u.parameter, fitter.description) for u in unknowns]
-    refits = [RefitWithoutPart(fitted.residuals, fitted.jacobian, part, held) for part in parts]
+    curves = tuple(f"{c.effect.name}." for c in fitted.added if c.form.free)
+    local = np.array([u.label.startswith(curves) for u in fitted.space.unknowns], bool)
+    refits = [
+        RefitWithoutPart(fitted.residuals, fitted.jacobian, part, held, local) for part in parts
+    ]
     space = fitted.space.starting_at(fitted.x)
     stage = LoopStage.LEAVE_ONE_OUT
     found = fitter.runner.run([fitter.request(stage, refit, space) for refit in refits])
@@ -163,6 +171,9 @@ class RefitWithoutPart(Method):
         Rows of the part that is left out.
     held : (unknowns,)
         Mask of the unknowns that keep their values.
+    local : (unknowns,)
+        Mask of the values of free curves. If the part alone determines one, because no other
+        part reaches there, it is fitted to the part: a curve is not extrapolated.
     """
 
     name: ClassVar[str] = "refit without a part"
@@ -172,14 +183,18 @@ class RefitWithoutPart(Method):
     jacobian: FloatArray = field(repr=False)
     part: IntArray = field(repr=False)
     held: BoolArray
+    local: BoolArray
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         del generator  # the method uses no random numbers
         others = np.ones(len(self.fitted), bool)
         others[self.part] = False
-        shared = self._unknowns_of(others)
-        own = self._unknowns_of(~others) & ~shared
+        squares, of_others = (
+            np.add.reduce(self.jacobian[rows] ** 2, axis=0) for rows in (slice(None), others)
+        )
+        shared = (of_others > np.where(self.local, ALONE, 0.0) * squares) & ~self.held
+        own = (squares > 0.0) & ~shared & ~self.held
         x, residuals, failed = yield from self._refit(
             space, space.start, self.fitted, others, shared
         )
@@ -187,11 +202,6 @@ class RefitWithoutPart(Method):
             x, residuals, _ = yield from self._refit(space, x, residuals, ~others, own)
         left = float(np.sum(residuals[self.part] ** 2))
         return Solution(x, ACCEPTANCE.unpredicted * left if failed else left, Ending.CONVERGED)
-
-    def _unknowns_of(self, rows: BoolArray) -> BoolArray:
-        """The unknowns on which these residuals depend, without those that keep their values."""
-        moved: BoolArray = (self.jacobian[rows] != 0.0).any(axis=0) & ~self.held
-        return moved
 
     def _refit(
         self,

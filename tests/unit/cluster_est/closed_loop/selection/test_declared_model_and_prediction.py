@@ -160,10 +160,23 @@ def test_an_unknown_that_hardly_moves_keeps_its_derivatives():
         curved = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0]) * x[0] ** 2
         return fitted + jacobian @ (x - start) + curved
 
-    refit = RefitWithoutPart(fitted, jacobian, np.array([4, 5]), np.zeros(2, bool))
+    none = np.zeros(2, bool)
+    refit = RefitWithoutPart(fitted, jacobian, np.array([4, 5]), none, none)
     found = FunctionProblem("", simulated, tuple(start), np.nan).solve(refit)
     assert found.cost == pytest.approx(2.0 * (0.5 + found.x[0]) ** 2)
     assert found.x[1] == start[1]
+
+
+@pytest.mark.parametrize(("local", "left"), [(False, 8.0), (True, 0.0)])
+def test_a_value_of_a_curve_where_only_the_part_reaches_is_fitted_to_the_part(local, left):
+    """The other rows determine it twenty times less well, and would move it by 2."""
+    jacobian = np.zeros((6, 2))
+    jacobian[:2, 0], jacobian[2:4, 1], jacobian[4:, 1] = 1.0, 0.05, 1.0
+    fitted = np.array([0.0, 0.0, 0.1, 0.1, 0.0, 0.0])
+    own, none = np.array([False, local]), np.zeros(2, bool)
+    refit = RefitWithoutPart(fitted, jacobian, np.array([4, 5]), none, own)
+    found = FunctionProblem("", lambda x: fitted + jacobian @ x, (0.0, 0.0), np.nan).solve(refit)
+    assert found.cost == pytest.approx(left, rel=0.01, abs=1e-9)
 
 
 @pytest.mark.parametrize(("strength", "bounded"), [(-1.0, True), (0.2, True), (6.0, False)])
