@@ -167,8 +167,8 @@ def _describe(
     labels = [f"{name}.{c.name}" for c in candidate.form.coefficients]
     known = [[e.value for e in coefficients if e.parameter == label] for label in labels]
     values = [float(np.mean(own)) if own else np.nan for own in known]
-    named = namer.name(candidate, values, curve)
-    also = _agreeing(fitter, result, namer, named, curve)
+    named = namer.name(candidate, values, curve, _interval(coefficients, f"{name}.n"))
+    also = _agreeing(fitter, result, named, curve)
     return NamedEffect(
         effect=candidate.effect,
         family=candidate.form.family,
@@ -194,10 +194,15 @@ FEEDS_ENERGY = (
 )
 
 
+def _interval(coefficients: Sequence[Estimate], parameter: str) -> tuple[float, float] | None:
+    """Return the 95 % interval of a coefficient; None if the data do not determine it."""
+    ends = [(e.lower95, e.upper95) for e in coefficients if e.parameter == parameter]
+    return ends[0] if len(ends) == 1 and all(map(math.isfinite, ends[0])) else None
+
+
 def _agreeing(
     fitter: Fitter,
     result: Result,
-    namer: Namer,
     named: EffectName,
     curve: EffectCurve | None,
 ) -> tuple[AgreeingEquation, ...]:
@@ -205,8 +210,7 @@ def _agreeing(
     shape = None if curve is None else shape_over(curve, result, fitter.description)
     if curve is None or shape is None:
         return ()
-    negative = namer.may_be_negative(curve.variable)
-    return agreements(curve, shape, named.placed.law, named.of_law, negative=negative)
+    return agreements(curve, shape, named.placed.law, named.of_law)
 
 
 def _alternatives(
