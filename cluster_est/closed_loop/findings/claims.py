@@ -4,13 +4,14 @@ A claim is right if the place, the argument and the kind of the effect are those
 effect, or of an equation with the same values on the data. The probability comes from a logistic
 regression with a few numbers of the evidence. It was fitted to claims of the benchmark, for which
 the truth is known; `scripts/bench_closed_loop.py --calibrate` fits it again. The sentence on a
-claim says how many benchmark claims with a similar probability were right. The share of the gap
+claim says how many benchmark claims in a range of probabilities around it were right. The share of the gap
 that is closed, rivals, the order of the effects and the number of improved parts were also tried,
 but in the benchmark they do not distinguish right claims from wrong ones.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,7 +180,7 @@ class Claim:
         Probability that place and kind are right; for a free curve, that the place is right. NaN
         for a lead.
     sentence
-        The probability in words, and how many similar claims in the benchmark were right.
+        The probability in words, and how many claims in this range of the benchmark were right.
     evidence
         The evidence from which it was computed.
     """
@@ -217,21 +218,31 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
     weights = known.fewer, known.clean, known.apart, known.chosen
     odds = known.intercept + float(np.dot(weights, figures(evidence)))
     probability = float(1.0 / (1.0 + np.exp(-odds)))
-    alike = max((a for a in known.alike if a.least <= probability), default=known.alike[0],
-                key=lambda a: a.least)  # fmt: skip
-    called, most = "similar claims", known.alike[-1]
-    if evidence.doubtful:
-        alike = most = known.doubtful
-        called = "equally doubtful claims"
+    alike, called = _with_like_probability(known.alike, probability)
+    most = known.doubtful if evidence.doubtful else known.alike[-1]
     # the regression may extrapolate, so the share of right claims is an upper limit
-    probability = min(probability, most.expected)
-    said = (
-        f"place and kind are right with a probability of {percent(probability)}: "
-        f"{_of_alike(alike, called)}"
-    )
-    if probability < CLAIMED:
+    certain = min(probability, most.expected)
+    said = f"place and kind are right with a probability of {percent(certain)}"
+    if not evidence.doubtful:
+        said += f": {_of_alike(alike, called)}"
+    elif certain < probability:  # otherwise the share of right claims is not the reason
+        said += f": {_of_alike(most, 'equally doubtful claims')}"
+    if certain < CLAIMED:
         said = f"this is a lead, not a claim: {said}"
-    return Claim(probability, said, evidence)
+    return Claim(certain, said, evidence)
+
+
+def _with_like_probability(
+    groups: Sequence[LikeClaims], probability: float
+) -> tuple[LikeClaims, str]:
+    """Return the group of claims with such a probability, and its range in words."""
+    place = max((i for i, each in enumerate(groups) if each.least <= probability), default=0)
+    if place == len(groups) - 1:
+        return groups[place], "surest claims"
+    above = percent(groups[place + 1].least)
+    if not place:
+        return groups[place], f"claims with less than {above}"
+    return groups[place], f"claims with {percent(groups[place].least)} to {above}"
 
 
 def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Claim:

@@ -49,22 +49,27 @@ def test_what_speaks_against_an_effect_makes_its_claim_less_sure(known, worse):
 def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
     assert sure.probability == pytest.approx(39 / 42)
-    assert sure.sentence.endswith("of 40 similar claims in the benchmark, 38 were right")
+    assert sure.sentence.endswith("of 40 surest claims in the benchmark, 38 were right")
 
 
-@pytest.mark.parametrize(("effects", "of"), [(3, 50), (1, 40)])
-def test_a_claim_says_how_many_like_it_were_right(effects, of):
-    known = replace(KNOWN, intercept=1.0)
-    found = claim(replace(EVIDENCE, effects=effects), known)
-    assert f"of {of} similar claims in the benchmark" in found.sentence
-    assert found.sentence.startswith(
-        f"place and kind are right with a probability of {100 * found.probability:.0f} %"
-    )
+@pytest.mark.parametrize(
+    ("intercept", "like"),
+    [
+        (-4.0, "of 50 claims with less than 50 % in the benchmark, 20 were right"),
+        (-1.0, "of 50 claims with 50 % to 90 % in the benchmark, 40 were right"),
+        (1.0, "of 40 surest claims in the benchmark, 38 were right"),
+    ],
+)
+def test_a_claim_says_how_many_were_right_in_which_range_of_probabilities(intercept, like):
+    found = claim(EVIDENCE, replace(KNOWN, intercept=intercept))
+    said = f"place and kind are right with a probability of {100 * found.probability:.0f} %: {like}"
+    assert found.sentence.removeprefix("this is a lead, not a claim: ") == said
 
 
 def test_a_claim_below_all_of_the_benchmark_is_like_the_least_sure_ones():
     known = replace(KNOWN, alike=(LikeClaims(0.4, 20, 50), *KNOWN.alike[1:]))
-    assert "of 50 similar claims" in claim(replace(EVIDENCE, left=1.4, effects=5), known).sentence
+    found = claim(replace(EVIDENCE, left=1.4, effects=5), known)
+    assert "of 50 claims with less than 50 %" in found.sentence
 
 
 @pytest.mark.parametrize("doubt", [{"left": 1.6}, {"at_end": True}], ids=str)
@@ -79,6 +84,8 @@ def test_a_claim_in_doubt_is_no_surer_than_those_of_the_benchmark(doubt):
     )
     doubted = claim(replace(EVIDENCE, left=40.0, effects=4), replace(KNOWN, intercept=-3.0))
     assert doubted.probability < 10 / 23
+    share = f"{100 * doubted.probability:.0f} %" if doubted.probability >= 0.01 else "less than 1 %"
+    assert doubted.sentence.endswith(f"a probability of {share}")  # 9 of 21 is not the reason
 
 
 def test_a_choice_that_nobody_made_is_as_sure_as_one_that_is_made_always():
