@@ -18,7 +18,7 @@ from cluster_est.cli.printing import (
     print_run,
 )
 from cluster_est.experiment_design.design_sentences import times
-from cluster_est.problem.display import NO_ALTERNATIVE, percent
+from cluster_est.problem.display import NO_ALTERNATIVE, SAME_PREDICTION, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 
@@ -123,9 +123,6 @@ Facts = Mapping[str, Any]
 
 UNKNOWN_NUMBER = "unknown"
 
-SAME_PREDICTION = 0.1
-"""Multiple of the noise below which two predictions count as equal."""
-
 
 def print_any_run(answer: Answer, run_folder: Path) -> None:
     """Print a run of any kind.
@@ -203,7 +200,7 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
         answer.say("(an experiment at the point where they differ most could distinguish them)")
     elif effect["alternatives"]:
         answer.say("  (nothing in these data distinguishes them)")
-    else:
+    elif kind == "effect":
         answer.tell(f"  {NO_ALTERNATIVE}")
 
 
@@ -223,7 +220,9 @@ def _differs(other: Facts) -> bool:
 
 def _alternative(other: Facts) -> str:
     """Return an alternative, and the experiment that would distinguish it."""
-    text = f"{other['words']} at {other['site']}: {other['equation']}"
+    text = f"{other['words']} at {other['site']}"
+    text += f": {other['equation']}" if other["equation"] else ""
+    text += f"; with it, {other['parameters']}" if other.get("parameters") else ""
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
     known = other["time"] is not None and other["difference"] is not None

@@ -4,9 +4,9 @@ A claim is right if the place, the argument and the kind of the effect are those
 effect, or of an equation with the same values on the data. The probability comes from a logistic
 regression with a few numbers of the evidence. It was fitted to claims of the benchmark, for which
 the truth is known; `scripts/bench_closed_loop.py --calibrate` fits it again. The sentence on a
-claim says how many benchmark claims in a range of probabilities around it were right. The share of the gap
-that is closed, rivals, the order of the effects and the number of improved parts were also tried,
-but in the benchmark they do not distinguish right claims from wrong ones.
+claim says how many benchmark claims in a range of probabilities around it were right. The share of
+the gap that is closed, rivals, the order of the effects and the number of improved parts were also
+tried, but in the benchmark they do not distinguish right claims from wrong ones.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.problem.display import percent
+from cluster_est.problem.display import in_percent, percent
 
 
 @dataclass(frozen=True)
@@ -250,10 +250,11 @@ def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Clai
     right, place = known.leads, known.lead_places
     few = " (a small number)" if right.of < FEW else ""
     were = "was" if right.right == 1 else "were"
+    both, one = (in_percent(each.right / each.of) for each in (right, place))
     said = (
         f"this is a lead, not a claim: of {right.of} leads in the benchmark{few}, in which the "
-        f"missing effect is known, {right.right} ({right.right / right.of:.0%}) {were} right in "
-        f"place and kind, and {place.right} ({place.right / place.of:.0%}) at least in place"
+        f"missing effect is known, {right.right} ({both}) {were} right in place and kind, and "
+        f"{place.right} ({one}) at least in place"
     )
     return Claim(np.nan, said, evidence)
 

@@ -35,7 +35,7 @@ class AlternativeEffect:
     Attributes
     ----------
     site, form, family, variables, equation
-        Properties of the effect.
+        Properties of the effect. The equation is "" if its own states only approximate a delay.
     criterion
         Information criterion, minus that of the chosen effect (negative: better).
     experiment, output, time
@@ -44,6 +44,8 @@ class AlternativeEffect:
         Difference of the two predictions there, in standard deviations of the noise.
     words
         Its name in physics or mathematics.
+    parameters
+        Values of declared parameters with it, outside of their intervals with the chosen effect.
     """
 
     site: str
@@ -57,6 +59,7 @@ class AlternativeEffect:
     time: float = np.nan
     difference: float = np.nan
     words: str = ""
+    parameters: str = ""
 
 
 @dataclass(frozen=True)

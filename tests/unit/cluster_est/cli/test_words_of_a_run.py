@@ -11,6 +11,7 @@ from support.reported import Page
 from cluster_est.cli import main
 from cluster_est.html_report.activity import FailureGroup, LogActivity
 from cluster_est.html_report.page import write_report
+from cluster_est.problem.display import NO_ALTERNATIVE
 
 PARAMETER = {
     "label": "k", "value": 1.0, "start": 2.0, "lower": 0.0, "upper": 9.0, "lower95": 0.9,
@@ -104,6 +105,20 @@ def test_effects_and_leads_say_how_often_such_were_right(printed, page):
     unexplained = {"verdict": "unexplained", "rejected": [EFFECT | {"claim": {"sentence": lead}}]}
     assert f"der(v) += k * v^2; {lead}" in printed(LOOP | unexplained)
     assert f"T{lead[1:]}." in page(LOOP | unexplained)
+
+
+def test_a_lead_is_no_strong_evidence_against_other_candidates(printed, page):
+    for claimed in (True, False):
+        facts = LOOP | {"effects": [EFFECT | {"claimed": claimed}]}
+        assert (NO_ALTERNATIVE in printed(facts)) is claimed
+        assert (NO_ALTERNATIVE in page(facts)) is claimed
+
+
+def test_an_alternative_without_an_equation_and_with_other_parameters(printed, page):
+    other = SAME | {"equation": "", "parameters": "k = 1.6 instead of 2.1 N/m"}
+    facts = LOOP | {"effects": [EFFECT | {"alternatives": [other]}]}
+    assert "from: curve at der(v); with it, k = 1.6 instead of 2.1 N/m (crit" in printed(facts)
+    assert "curve at der(v) (with it, k = 1.6 instead of 2.1 N/m)" in page(facts)
 
 
 @pytest.mark.parametrize(

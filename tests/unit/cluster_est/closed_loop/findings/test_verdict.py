@@ -108,7 +108,7 @@ CASES = {
         Case(9.0, 1.0, CLEAN, families=("friction", "friction")), Verdict.FOUND,
         "the effects remove 100%"),
     "nearly all is explained": (
-        Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "the effect removes 100%"),
+        Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "the effect removes 99.5%"),
     "just less than nearly all": (
         Case(101.0, 4.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "the effect removes 97%"),
     "most is explained": (
