@@ -303,5 +303,8 @@ def _print_rest(answer: Answer, facts: Facts) -> None:
         f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()
     )
     if noise:
-        answer.say(f"noise estimated from the residuals: {noise}")
+        which = " with the effects" if facts["effects"] else ""
+        over = facts["errors_over"] == "estimated noise" and which
+        above = "; the errors are over the noise in those without the effects" if over else ""
+        answer.say(f"noise estimated from the residuals{which}: {noise}{above}")
     answer.say(f"open sites: {', '.join(facts['sites'])}")

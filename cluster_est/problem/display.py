@@ -134,6 +134,12 @@ def in_percent(part: float, decimals: int = 0) -> str:
     return in_percent(part, decimals + 1) if decimals < 3 else "more than 99.9%"
 
 
+def in_sentences(parts: Sequence[str]) -> str:
+    """Return texts that are not empty as sentences; the last one has no full stop."""
+    first, *others = [part for part in parts if part] or [""]
+    return ". ".join([first, *(f"{part[:1].upper()}{part[1:]}" for part in others)])
+
+
 def plain_number(value: float, digits: int = 4) -> str:
     """Return a number with some digits; large numbers without an exponent, such as 1830."""
     if abs(value) < 10.0**digits or abs(value) >= LARGEST_PLAIN:

@@ -40,7 +40,8 @@ class ClaimEvidence:
     chosen
         Share of the resamplings whose best structure contains the effect; NaN if not known.
     at_end
-        Whether one of its coefficients is at the end of its range.
+        Whether one of its coefficients is at the end of its range, or all of its strengths, one
+        for each experiment, may be zero.
     free
         Whether it is a free curve.
     """
@@ -56,7 +57,7 @@ class ClaimEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the remaining error is large, or a coefficient is at the end of its range.
+        """Whether the remaining error is large, or a coefficient is not determined (`at_end`).
 
         Such claims are rare in the benchmark, and frequent on measured data. They are counted
         separately.

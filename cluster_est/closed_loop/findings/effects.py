@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from cluster_est.closed_loop.findings.claims import Claim
+from cluster_est.problem.display import in_sentences
 from cluster_est.problem.parameter import Parameter
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
@@ -266,7 +267,7 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
         failed = not_simulated([e for e in errors if e.role == role])
         if failed:
             said.append(f"{kind} experiment {', '.join(failed)} could not be simulated")
-    return "; ".join(said)
+    return in_sentences(said)
 
 
 def _worst_output(errors: Sequence[ErrorChange], role: Role) -> str:

@@ -40,7 +40,7 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.problem.display import in_percent
+from cluster_est.problem.display import in_percent, in_sentences
 from cluster_est.statistics.residual_findings import autocorrelated
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.messages import FloatArray
@@ -86,8 +86,14 @@ class ReasonedVerdict:
 
     def refused(self, against: str) -> ReasonedVerdict:
         """Return the verdict "unexplained", with a reason against the effects that were claimed."""
-        reason = f"{self.reason}; but {against}, so nothing was added"
+        reason = f"{self.reason}. But {against}, so nothing was added"
         return replace(self, verdict=Verdict.UNEXPLAINED, reason=reason)
+
+    @property
+    def so_far(self) -> ReasonedVerdict:
+        """The verdict while the search still runs: at most "partial"."""
+        partial = Verdict.PARTIAL if self.verdict is Verdict.FOUND else self.verdict
+        return replace(self, verdict=partial)
 
     @property
     def over(self) -> str:
@@ -414,7 +420,7 @@ def confirmed(
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
         said += ", so it is not known whether everything was found"
-    return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
+    return replace(judged, verdict=verdict, reason=in_sentences((said, judged.reason)))
 
 
 def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:

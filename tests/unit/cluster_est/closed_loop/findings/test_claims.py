@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.named_effects import estimate
 
 from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
 from cluster_est.closed_loop.findings.claims import (
@@ -176,6 +177,30 @@ def test_experiments_may_differ_in_noise_that_is_estimated(declared, left):
     assert found.claim.evidence.left == pytest.approx(left)
 
 
+def by_experiment(form, *intervals, shared=()):
+    """An effect with a strength a for each experiment, and other coefficients."""
+    rows = [
+        replace(estimate("a", 0.5 * (low + high)), label=f"e.a[run {i}]", lower95=low, upper95=high)
+        for i, (low, high) in enumerate(intervals)
+    ]
+    made = replace(named(form, "der(v)"), coefficients=(*rows, *shared))
+    return replace(made, effect=replace(made.effect, name="e"))
+
+
+@pytest.mark.parametrize(
+    ("effect", "claimed"),
+    [
+        (by_experiment("emptying", (-1.0, 2.0), (-3.0, 1.0), shared=[estimate("tau", 9.0)]), False),
+        (by_experiment("emptying", (-1.0, np.nan), (np.nan, np.nan)), False),
+        (by_experiment("emptying", (-1.0, 2.0), (0.1, 1.0)), True),
+        (by_experiment("store_from_elsewhere", (-1.0, 2.0), shared=[estimate("k", 2.0)]), True),
+    ],
+)
+def test_strengths_by_experiment_that_may_all_be_zero_are_no_claim(effect, claimed):
+    (found,) = with_claims([effect], [ERROR, HELD_OUT], ROWS, declared=True, claimed=True)
+    assert found.claimed is claimed
+
+
 def test_nothing_is_said_where_no_noise_is_known():
     unknown = replace(ERROR, normalised_before=np.nan, normalised_after=np.nan)
     assert with_claims([FRICTION], [unknown], ROWS, declared=True, claimed=True) == (FRICTION,)
@@ -192,7 +217,7 @@ def test_the_summary_says_how_sure_each_effect_is():
     doubtful = with_claims([FRICTION], [ERROR, loud], ROWS, declared=True, claimed=True)
     assert not doubtful[0].claimed
     assert how_sure(doubtful, claimed=True).endswith(
-        "; below 50 %, an effect is only a lead: check coulomb at der(v) by a test or an "
+        ". Below 50 %, an effect is only a lead: check coulomb at der(v) by a test or an "
         "inspection before you rely on it"
     )
     leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, declared=True, claimed=False)
