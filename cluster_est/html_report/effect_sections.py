@@ -166,7 +166,7 @@ def effects(run: ReportedRun) -> ReportSection:
             blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
-        blocks += [_rivals(each) for each in rejected if each.get("alternatives")]
+        blocks += [_rivals(each) for each in rejected if _other_laws(each)]
     title = "Missing effects" if run.is_loop else "Declared effects"
     return ReportSection("effects", title, tuple(blocks))
 
@@ -230,7 +230,7 @@ def candidates(run: ReportedRun) -> ReportSection:
     blocks: list[Block] = [
         _rivals(effect)
         for effect in run.facts.get("effects") or []
-        if effect.get("alternatives") or effect.get("claimed", True)
+        if _other_laws(effect) or (effect.get("claimed", True) and not effect.get("alternatives"))
     ]
     if rows:
         blocks.insert(
@@ -340,8 +340,13 @@ def _ranked(step: int, rows: list[Row]) -> TableBlock:
     return table(names, lines, f"Step {step}: {len(rows)} candidates", folded=True)
 
 
+def _other_laws(effect: Row) -> list[Row]:
+    """Return the alternatives that are other laws, not the same law with a further coefficient."""
+    return [other for other in effect.get("alternatives") or [] if not other.get("nested")]
+
+
 def _rivals(effect: Row) -> Block:
-    others = effect.get("alternatives") or []
+    others = _other_laws(effect)
     if not others:
         return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
     names = ("cannot be distinguished", "equation", "#criterion", "differ most at", "#by")

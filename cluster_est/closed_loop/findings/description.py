@@ -221,8 +221,7 @@ def _alternatives(
 ) -> tuple[AlternativeEffect, ...]:
     """Return the rivals that the data do not exclude: their predictions are similar everywhere.
 
-    Other effects of the same structure are not rivals, and neither is the same law with a delay or
-    a lag that is too short to be seen.
+    Other effects of the same structure are not rivals.
     """
     won, rivals = found.rivals.get(candidate.effect.name, (None, []))
     if won is None:
@@ -235,8 +234,6 @@ def _alternatives(
             fitter, won.fitted, rival.fitted, found.noise
         )
         if other.effect.name in others or not size <= LARGEST_DIFFERENCE:
-            continue
-        if size < SAME_PREDICTION and _contains(other, candidate):
             continue
         made.append(
             AlternativeEffect(
@@ -252,6 +249,7 @@ def _alternatives(
                 difference=size,
                 words=namer.name(other, other.point(rival.fitted.coefficients(other)), None).words,
                 parameters=_moved_parameters(result, rival),
+                nested=size < SAME_PREDICTION and _contains(other, candidate),
             )
         )
     return tuple(made)

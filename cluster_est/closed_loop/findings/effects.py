@@ -47,6 +47,8 @@ class AlternativeEffect:
         Its name in physics or mathematics.
     parameters
         Values of declared parameters with it, outside of their intervals with the chosen effect.
+    nested
+        Whether it is the chosen law with a delay or a lag that is too short to be seen.
     """
 
     site: str
@@ -61,6 +63,7 @@ class AlternativeEffect:
     difference: float = np.nan
     words: str = ""
     parameters: str = ""
+    nested: bool = False
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ def _judged(
     several = len(found.current.added) > 1
     closes = "the effects remove" if several else "the effect removes"
     said = f"{closes} {in_percent(training)} of {EXCESS}"
-    if in_percent(predicted) != in_percent(training) and predicted < training:
+    if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         said += f" ({in_percent(predicted)} in {CROSS_VALIDATION})"
     tables = any(c.form.free for c in found.current.added)
     dynamics = any(c.form.is_dynamics for c in found.current.added)
@@ -243,7 +243,7 @@ def _little(training: float, predicted: float, most: float, *, several: bool) ->
     if predicted < 0.0:
         return f"{'predict' if several else 'predicts'} {WORSE}"
     needed = f" (more than {most:.0%} is needed)"
-    if in_percent(predicted) != in_percent(training) and predicted < training:
+    if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         said = f"would remove only {in_percent(predicted)} of {EXCESS} in {CROSS_VALIDATION}"
         return f"{said}, and {in_percent(training)} in the fit{needed}"
     return f"would remove only {in_percent(training)} of {EXCESS}{needed}"

@@ -114,6 +114,23 @@ def test_a_lead_is_no_strong_evidence_against_other_candidates(printed, page):
         assert (NO_ALTERNATIVE in page(facts)) is claimed
 
 
+def test_the_same_law_with_a_short_lag_is_neither_named_nor_excluded(printed, page):
+    facts = LOOP | {"effects": [EFFECT | {"alternatives": [SAME | {"nested": True}]}]}
+    for said in (printed(facts), page(facts)):
+        assert "curve at der(v)" not in said
+        assert NO_ALTERNATIVE not in said
+
+
+@pytest.mark.parametrize(("noise", "said"), [(0.5, False), (0.4, True)])
+def test_a_noise_that_the_errors_are_not_divided_by_is_told_apart(printed, noise, said):
+    """The errors of y are 1 m, which is 2 times the noise of the declared model."""
+    text = printed(LOOP | {"effects": [EFFECT], "noise": {"y": noise}})
+    assert f"noise estimated from the residuals with the effects: y {noise}" in text
+    assert (
+        "the errors are divided by the noise estimated without the effects: y 0.5" in text
+    ) is said
+
+
 def test_an_alternative_without_an_equation_and_with_other_parameters(printed, page):
     other = SAME | {"equation": "", "parameters": "k = 1.6 instead of 2.1 N/m"}
     facts = LOOP | {"effects": [EFFECT | {"alternatives": [other]}]}
