@@ -213,7 +213,7 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
         alike = known.curves
         said = (
             "this is a place without a law: "
-            f"{_of_alike(alike, 'free curves', 'at the right place')}"
+            f"{_of_alike(alike, '{} free curves', 'at the right place')}"
         )
         return Claim(alike.expected, said, evidence)
     weights = known.fewer, known.clean, known.apart, known.chosen
@@ -227,7 +227,7 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
     if not evidence.doubtful:
         said += f": {_of_alike(alike, called)}"
     elif certain < probability:  # otherwise the share of right claims is not the reason
-        said += f": {_of_alike(most, 'equally doubtful claims')}"
+        said += f": {_of_alike(most, '{} equally doubtful claims')}"
     if certain < CLAIMED:
         said = f"this is a lead, not a claim: {said}"
     return Claim(certain, said, evidence)
@@ -239,11 +239,11 @@ def _with_like_probability(
     """Return the group of claims with such a probability, and its range in words."""
     place = max((i for i, each in enumerate(groups) if each.least <= probability), default=0)
     if place == len(groups) - 1:
-        return groups[place], "surest claims"
+        return groups[place], "the {} surest claims"
     above = percent(groups[place + 1].least)
     if not place:
-        return groups[place], f"claims with less than {above}"
-    return groups[place], f"claims with {percent(groups[place].least)} to {above}"
+        return groups[place], f"{{}} claims with less than {above}"
+    return groups[place], f"{{}} claims with {percent(groups[place].least)} to {above}"
 
 
 def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Claim:
@@ -264,4 +264,4 @@ def _of_alike(alike: LikeClaims, called: str, right: str = "right") -> str:
     """Say how many of a group of similar claims were right."""
     were = "was" if alike.right == 1 else "were"
     few = " (a small number)" if alike.of < FEW else ""
-    return f"of {alike.of} {called} in the benchmark{few}, {alike.right} {were} {right}"
+    return f"of {called.format(alike.of)} in the benchmark{few}, {alike.right} {were} {right}"

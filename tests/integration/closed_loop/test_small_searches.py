@@ -150,7 +150,7 @@ def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
     problem = replace(problem, tables=tuple(sources))
     found = ce.close_loop(problem, settings=settings("der(v)", "coulomb", "cubic"))
     assert found.verdict == Verdict.UNEXPLAINED
-    assert "the unused column 'gust_N' explains" in found.message
+    assert "The unused column 'gust_N' explains" in found.message
     assert [len(each.columns) for each in found.unexplained] == [1]
 
 

@@ -50,7 +50,7 @@ def test_what_speaks_against_an_effect_makes_its_claim_less_sure(known, worse):
 def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
     assert sure.probability == pytest.approx(39 / 42)
-    assert sure.sentence.endswith("of 40 surest claims in the benchmark, 38 were right")
+    assert sure.sentence.endswith("of the 40 surest claims in the benchmark, 38 were right")
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     [
         (-4.0, "of 50 claims with less than 50 % in the benchmark, 20 were right"),
         (-1.0, "of 50 claims with 50 % to 90 % in the benchmark, 40 were right"),
-        (1.0, "of 40 surest claims in the benchmark, 38 were right"),
+        (1.0, "of the 40 surest claims in the benchmark, 38 were right"),
     ],
 )
 def test_a_claim_says_how_many_were_right_in_which_range_of_probabilities(intercept, like):
