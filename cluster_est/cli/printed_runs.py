@@ -20,7 +20,7 @@ from cluster_est.cli.printing import (
 from cluster_est.experiment_design.design_sentences import times
 from cluster_est.html_report.headline import next_steps
 from cluster_est.html_report.reported_run import read_results
-from cluster_est.problem.display import NO_ALTERNATIVE, percent
+from cluster_est.problem.display import NO_ALTERNATIVE, SAME_PREDICTION, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 
@@ -125,9 +125,6 @@ Facts = Mapping[str, Any]
 
 UNKNOWN_NUMBER = "unknown"
 
-SAME_PREDICTION = 0.1
-"""Multiple of the noise below which two predictions count as equal."""
-
 
 def print_any_run(answer: Answer, run_folder: Path) -> None:
     """Print a run of any kind.
@@ -178,7 +175,7 @@ def print_loop(answer: Answer, run: StoredRun) -> None:
     _print_errors(answer, run.tables["errors"], facts)
     for note in facts["notes"]:
         answer.say(f"note: {note}")
-    _print_rest(answer, facts)
+    _print_rest(answer, facts, run.tables["errors"])
     if facts["effects"]:
         answer.say("")
         answer.say("to add the effects to the config, so that cluster-est fit estimates them:")
@@ -210,14 +207,20 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
         answer.say(f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
         answer.say(f"  {sentence}")
-    for other in effect["alternatives"]:
+    others = _other_laws(effect)
+    for other in others:
         answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
-    if any(_differs(other) for other in effect["alternatives"]):
+    if any(_differs(other) for other in others):
         answer.say("(an experiment at the point where they differ most could distinguish them)")
-    elif effect["alternatives"]:
+    elif others:
         answer.say("  (nothing in these data distinguishes them)")
-    else:
+    elif kind == "effect" and not effect["alternatives"]:
         answer.tell(f"  {NO_ALTERNATIVE}")
+
+
+def _other_laws(effect: Facts) -> list[Facts]:
+    """Return the alternatives that are other laws, not the same law with a further coefficient."""
+    return [other for other in effect["alternatives"] if not other.get("nested")]
 
 
 def _range(row: Facts) -> str:
@@ -236,7 +239,9 @@ def _differs(other: Facts) -> bool:
 
 def _alternative(other: Facts) -> str:
     """Return an alternative, and the experiment that would distinguish it."""
-    text = f"{other['words']} at {other['site']}: {other['equation']}"
+    text = f"{other['words']} at {other['site']}"
+    text += f": {other['equation']}" if other["equation"] else ""
+    text += f"; with it, {other['parameters']}" if other.get("parameters") else ""
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
     known = other["time"] is not None and other["difference"] is not None
@@ -303,7 +308,29 @@ def _over_noise(row: dict[str, Any], when: str) -> str:
     return number(row[f"normalised_{when}"], UNKNOWN_NUMBER)
 
 
-def _print_rest(answer: Answer, facts: Facts) -> None:
+def _other_noise(facts: Facts, rows: Rows) -> str:
+    """Name the noise of the declared model if the errors are divided by it and it differs."""
+    if not facts["effects"] or facts["errors_over"] != "estimated noise":
+        return ""
+    known = {r["output"]: r["rmse_after"] / r["normalised_after"] for r in rows if _has_noise(r)}
+    differs = [
+        f"{name} {number(level)}"
+        for name, level in known.items()
+        if abs(level - (facts["noise"].get(name) or level)) > NOTICEABLE * level
+    ]
+    over = "; the errors are divided by the noise estimated without the effects"
+    return f"{over}: {', '.join(differs)}" if differs else ""
+
+
+def _has_noise(row: dict[str, Any]) -> bool:
+    return bool(row["rmse_after"] > 0.0 and row["normalised_after"] > 0.0)
+
+
+NOTICEABLE = 0.02
+"""Relative difference of two estimates of a noise that is worth a remark."""
+
+
+def _print_rest(answer: Answer, facts: Facts, rows: Rows) -> None:
     """Print the rejected effects, the noise and the searched sites."""
     for effect in facts["rejected"]:
         said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
@@ -311,12 +338,13 @@ def _print_rest(answer: Answer, facts: Facts) -> None:
             "sentence": "this shows where to look, but not what is missing"
         }
         answer.say(said + known["sentence"])
-        for other in effect["alternatives"]:
+        for other in _other_laws(effect):
             answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     noise = ", ".join(
         f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()
     )
     if noise:
-        answer.say(f"noise estimated from the residuals: {noise}")
+        which = " with the effects" if facts["effects"] else ""
+        answer.say(f"noise estimated from the residuals{which}: {noise}{_other_noise(facts, rows)}")
     if facts["sites"]:
         answer.say(f"searched sites: {', '.join(facts['sites'])}")

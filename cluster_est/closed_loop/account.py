@@ -47,7 +47,12 @@ from cluster_est.closed_loop.findings.unexplained import (
 )
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge, veto
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.output_noise import believed_noise, residual_noise
+from cluster_est.closed_loop.output_noise import (
+    believed_noise,
+    noise_of,
+    residual_noise,
+    rounding_notes,
+)
 from cluster_est.closed_loop.selection.answer import undetermined_sentence
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
@@ -60,6 +65,7 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Ending, Solution
+from cluster_est.problem.display import in_sentences
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.problem.tables.jumps import jumping_inputs
 from cluster_est.results.complete import complete, simulate_all
@@ -266,20 +272,22 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         named = with_claims(named, errors, compared, declared=declared, claimed=keep)
     said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
     said.insert(1, how_sure(named, claimed=keep))
+    noise = {} if fitter.predicts else fitter.noise_in_units(last_noise(fitter, found, keep=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     tried = (*_nothing_tried(found, scope.sites), *taken_for_definitions(found.definitions))
     notes = (*failed, *tried, *doubts, *answer.against, *scope.notes)
+    notes = (*notes, *rounding_notes(fitter, noise))
     return LoopResult(
         verdict=judgement.verdict,
-        message="; ".join(filter(None, said)),
+        message=in_sentences(said),
         effects=named if keep else (),
         before=before,
         after=after,
         errors=fits.errors if keep else tuple(each.unchanged for each in fits.errors),
         findings=found.findings,
         rejected=() if keep else named,
-        noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
+        noise=noise,
         sites=found.sites,
         notes=(*notes, *_notes(fitter, judgement.verdict, kept, after, found.noise)),
         simulations=fitter.meter.full,
@@ -295,6 +303,14 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         competing=competing,
         process_noise=fits.noise if keep else (),
     )
+
+
+def last_noise(fitter: Fitter, found: SelectionResult, *, keep: bool) -> FloatArray:
+    """Return the noise, (outputs,): with effects that are kept, from what they leave.
+
+    The search and the errors use the noise in the residuals of the declared model.
+    """
+    return noise_of(fitter, found.current.residuals) if keep else found.noise
 
 
 def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ...]:
@@ -493,7 +509,7 @@ def result_so_far(
     """
     try:
         with fitter.runner.uncounted():
-            judged = replace(judge(fitter, found), verdict=Verdict.PARTIAL)
+            judged = judge(fitter, found).so_far
             before, after = (_as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
             fits = LastFits(before, after, error_changes(fitter, found, before, after))
             result = account(fitter, LastAnswer(found, judged, fits), scope)

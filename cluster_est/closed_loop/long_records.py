@@ -17,6 +17,7 @@ from cluster_est.closed_loop.account import (
     last_answer,
     last_fits_to_all_rows,
     last_models,
+    last_noise,
     result_so_far,
 )
 from cluster_est.closed_loop.findings.result import LoopResult
@@ -436,7 +437,6 @@ class _ThinnedLoop:
 
             answer = last_answer(done.searched.ends, last, without)
             before = answer.fits.before
-            noise = whole.noise_in_units(answer.found.noise)
             other = preferred_interpolation(
                 whole.space(replace(done.starts[0][0], problem=before.problem)),
                 before.solution,
@@ -446,6 +446,8 @@ class _ThinnedLoop:
             )
         with reopened(self._left(), searching) as again:
             result = account(again.fitter, answer, searching.scope)
+            left = last_noise(again.fitter, answer.found, keep=bool(result.effects))
+        noise = whole.noise_in_units(left)
         notes = (f"{done.said}; {CONFIRMED_ON_ALL}", *result.notes)
         result = with_all(replace(result, noise=noise, notes=notes), self.spent)
         return AccountedSearch(result, done.searched, done.errors[answer.number], other)

@@ -38,6 +38,7 @@ from cluster_est.closed_loop.process_noise import close_loop_under_noise
 from cluster_est.closed_loop.selection.answer import p_without
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import LoopRequest, check_arguments
+from cluster_est.problem.display import in_sentences
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
@@ -184,7 +185,7 @@ def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> 
         return result
     sentences = [f"check the records first: {what}; {do}" for what, do in said]
     aside = "; this run leaves such output samples out of fits, errors and tables"
-    message = f"{'; '.join(sentences)}{aside}; {result.message}"
+    message = in_sentences([f"{'; '.join(sentences)}{aside}", result.message])
     return replace(result, message=message)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,12 @@ from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.problem.sigmas import declares_sigma
-from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
+from cluster_est.statistics.noise.estimate import (
+    SHORTEST_NOISE_RECORD,
+    STEP_OVER_DEVIATION,
+    estimate_noise,
+    quantisation_step,
+)
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
 from cluster_est.statistics.residual_tests import NOISY, SMALL_RMS_OVER_SIGMA, autocorrelation
@@ -45,6 +50,26 @@ def _seen_between_samples(fitter: Fitter) -> FloatArray:
             unit = float(np.median(np.concatenate(units)))
             found[number] = fitter.noise_of_samples[name] / unit
     return found
+
+
+ROUNDED = 0.5
+"""Least share of the variance of the noise that is rounding, for which the rounding is reported. By
+definition: it is the larger part."""
+
+
+def rounding_notes(fitter: Fitter, noise: Mapping[str, float]) -> tuple[str, ...]:
+    """Say which outputs have a noise, given in their units, that is mostly rounding."""
+    notes = []
+    for name, level in noise.items():
+        own = [o for run in fitter.runs for o in run.outputs if o.variable == name]
+        step = max((quantisation_step(o.values) for o in own if not o.ordinal), default=0.0)
+        rounding = step / STEP_OVER_DEVIATION
+        if rounding > 0.0 and ROUNDED * level**2 <= rounding**2:
+            notes.append(
+                f"the values of output {name} are multiples of {step:.3g}: rounding alone causes "
+                f"an error of {rounding:.3g}, which is most of its noise ({level:.3g})"
+            )
+    return tuple(notes)
 
 
 def expected_noise(fitter: Fitter, residuals: FloatArray) -> FloatArray:

@@ -32,6 +32,7 @@ from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, open_workbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.problem.display import in_percent, in_sentences
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names, noise_parameters, without_noise
 from cluster_est.results.output_errors import output_residuals
@@ -136,7 +137,7 @@ def _with_noise(
     notes = (*searched.error.notes, *result.notes, free, NOT_LOOKED_FOR, _unsettled(passed))
     return replace(
         result,
-        message="; ".join([result.message, *said]),
+        message=in_sentences([result.message, *said]),
         notes=(*filter(None, notes), *expensive_structures(searched.found.path)),
         failures_in_search=searched.failures,
     )
@@ -167,7 +168,8 @@ def noise_sentence(change: NoiseChange, *, kept: bool) -> str:
     left = change.variance_left
     return (
         f"process noise {change.name}: {kind} {change.before:.3g}{unit} before and "
-        f"{change.after:.3g}{unit} with the effects, which is {left:.0%} of the variance{lasting}"
+        f"{change.after:.3g}{unit} with the effects, which is {in_percent(left)} of the variance"
+        f"{lasting}"
     )
 
 

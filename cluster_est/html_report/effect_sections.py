@@ -35,7 +35,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
 from cluster_est.html_report.scales import Scale
-from cluster_est.problem.display import NO_ALTERNATIVE, percent
+from cluster_est.problem.display import NO_ALTERNATIVE, in_percent, percent
 from workers.messages import FloatArray
 
 BAND_MARGIN = 1.5
@@ -166,7 +166,7 @@ def effects(run: ReportedRun) -> ReportSection:
             blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
-        blocks += [_rivals(each) for each in rejected if each.get("alternatives")]
+        blocks += [_rivals(each) for each in rejected if _other_laws(each)]
     title = "Missing effects" if run.is_loop else "Declared effects"
     return ReportSection("effects", title, tuple(blocks))
 
@@ -227,7 +227,11 @@ def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]
 def candidates(run: ReportedRun) -> ReportSection:
     """Return the section of the ranked candidates, and of those that cannot be distinguished."""
     rows = run.tables["findings"]
-    blocks: list[Block] = [_rivals(effect) for effect in run.facts.get("effects") or []]
+    blocks: list[Block] = [
+        _rivals(effect)
+        for effect in run.facts.get("effects") or []
+        if _other_laws(effect) or (effect.get("claimed", True) and not effect.get("alternatives"))
+    ]
     if rows:
         blocks.insert(
             0,
@@ -294,7 +298,7 @@ def _end(row: Row) -> str:
 def _closed(row: Row) -> str:
     """Return the share of the gap that a set of effects closes; "" without a gap."""
     closed = row["closed"]
-    return f"{100.0 * closed:.1f}\u2009%" if math.isfinite(closed) else ""
+    return in_percent(closed, 1).replace("%", "\u2009%") if math.isfinite(closed) else ""
 
 
 def _share(row: Row, name: str) -> str:
@@ -324,7 +328,7 @@ def _ranked(step: int, rows: list[Row]) -> TableBlock:
             row["form"],
             code(", ".join(row["variables"] or ())),
             TableCell(row["stage"], "good" if row["stage"] == CandidateStage.ACCEPTED else ""),
-            f"{100.0 * row['explained']:.1f}\u2009%",
+            in_percent(row["explained"], 1).replace("%", "\u2009%"),
             digits(row["log_p"] / np.log(10.0), 4),
             digits(row["criterion"], 4),
             TableCell(
@@ -336,8 +340,13 @@ def _ranked(step: int, rows: list[Row]) -> TableBlock:
     return table(names, lines, f"Step {step}: {len(rows)} candidates", folded=True)
 
 
+def _other_laws(effect: Row) -> list[Row]:
+    """Return the alternatives that are other laws, not the same law with a further coefficient."""
+    return [other for other in effect.get("alternatives") or [] if not other.get("nested")]
+
+
 def _rivals(effect: Row) -> Block:
-    others = effect.get("alternatives") or []
+    others = _other_laws(effect)
     if not others:
         return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
     names = ("cannot be distinguished", "equation", "#criterion", "differ most at", "#by")
@@ -349,6 +358,7 @@ def _rivals(effect: Row) -> Block:
             at = f"{other['output']} of {other['experiment']}, {digits(other['time'])} s"
             by = f"{digits(other['difference'], 2)} times the noise"
         criterion, said = other["criterion"], f"{other['words']} at {other['site']}"
+        said += f" (with it, {moved})" if (moved := other.get("parameters")) else ""
         worse = "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3)
         lines.append((said, code(other["equation"]), worse, at, by))
     return table(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,15 +24,17 @@ from cluster_est.problem.tables.sparse_inputs import few_samples, sparse_inputs
 from cluster_est.problem.tables.stand_ins import stand_ins
 from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, thinned
 from cluster_est.problem.variables import driven_or_constant, idle_inputs, stays
-from cluster_est.statistics.noise.estimate import estimate_noise, quantisation_step
+from cluster_est.statistics.noise.estimate import (
+    STEP_OVER_DEVIATION,
+    estimate_noise,
+    quantisation_step,
+)
 from cluster_est.statistics.noise.outliers import isolated_outliers
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
-STEP_OVER_DEVIATION = math.sqrt(12.0)
-"""Ratio of a rounding step to the standard deviation of its error; see `quantisation_step`."""
 FEW_OUTLIERS = 0.01
 """Largest share of outliers among the samples; a larger share belongs to the signal."""
 FEWEST_VALUES = 20

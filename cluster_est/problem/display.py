@@ -107,6 +107,10 @@ NO_ALTERNATIVE = (
 """Remark on an effect without alternatives; an information criterion assumes exact models."""
 
 
+SAME_PREDICTION = 0.1
+"""Multiple of the noise below which two predictions count as equal."""
+
+
 def readable_time(seconds: float) -> str:
     """Return a time in a readable unit: "3.2 s", "4.5 min", "24 h" or "3 d"."""
     for unit, size, most in (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 172_800.0)):
@@ -120,6 +124,20 @@ def percent(probability: float) -> str:
     if probability > 0.99:
         return "more than 99 %"
     return "less than 1 %" if probability < 0.01 else f"{100.0 * probability:.0f} %"
+
+
+def in_percent(part: float, decimals: int = 0) -> str:
+    """Return a share in percent, such as "43%"; a part is never rounded up to all of it."""
+    said = f"{part:.{decimals}%}"
+    if not 0.0 < part < 1.0 or not said.startswith("100"):
+        return said
+    return in_percent(part, decimals + 1) if decimals < 3 else "more than 99.9%"
+
+
+def in_sentences(parts: Sequence[str]) -> str:
+    """Return texts that are not empty as sentences; the last one has no full stop."""
+    first, *others = [part for part in parts if part] or [""]
+    return ". ".join([first, *(f"{part[:1].upper()}{part[1:]}" for part in others)])
 
 
 def plain_number(value: float, digits: int = 4) -> str:

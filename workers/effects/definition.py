@@ -446,7 +446,54 @@ def _fill(template: str, units: Mapping[str, str]) -> str:
         return "1"
     if "?" not in bottom and top.startswith(f"{bottom}/"):  # for example "V/s" over "V"
         return f"1{top.removeprefix(bottom)}"
+    shorter = _cancelled(top, bottom)
+    if shorter:
+        return shorter
     return per_second(top) if bottom == "s" else f"{top}/{bottom}"
+
+
+_FACTOR = re.compile(r"(\((?:[^()]|\([^()]*\))*\)|[^\W\d_]+|1)(?:\^?(-?\d+(?:\.\d+)?))?")
+
+
+def _cancelled(top: str, bottom: str) -> str:
+    """Return a quotient of two units without their common factors.
+
+    It is "" if a factor of the denominator is none of the numerator, because then the quotient as
+    it is shows best what is divided. For example "1/rad" for "rad/s^2" over "(rad/s)^2".
+    """
+    over, under = _factors(top), _factors(bottom)
+    if not over or not under or any(over.get(unit, 0.0) * p <= 0.0 for unit, p in under.items()):
+        return ""
+    powers = {unit: over.get(unit, 0.0) - under.get(unit, 0.0) for unit in over | under}
+    parts = {
+        way: [u if abs(p) == 1.0 else f"{u}^{abs(p):g}" for u, p in powers.items() if way * p > 0.0]
+        for way in (1, -1)
+    }
+    above, below = (".".join(parts[way]) for way in (1, -1))
+    if not below:
+        return above or "1"
+    return f"{above or 1}/({below})" if len(parts[-1]) > 1 else f"{above or 1}/{below}"
+
+
+def _factors(unit: str) -> dict[str, float] | None:
+    """Return the power of each factor of a unit such as "W/(m2.K)"; None for another notation."""
+    found: dict[str, float] = {}
+    way, rest = 1.0, unit
+    while rest:
+        match = _FACTOR.match(rest)
+        if match is None:
+            return None
+        text, power = match[1], way * float(match[2] or 1.0)
+        inner = _factors(text[1:-1]) if text.startswith("(") else {text: 1.0} if text != "1" else {}
+        if inner is None:
+            return None
+        for factor, own in inner.items():
+            found[factor] = found.get(factor, 0.0) + power * own
+        rest = rest[match.end() :]
+        if rest and rest[0] not in "./ ":
+            return None
+        way, rest = (-1.0 if rest[:1] == "/" else 1.0), rest[1:]
+    return found
 
 
 def _powered(found: re.Match[str], units: Mapping[str, str], *, alone: bool) -> str:

@@ -26,10 +26,12 @@ from cluster_est.closed_loop.findings.effects import (
 )
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
-from cluster_est.problem.display import in_a_row, percent, plain_number
+from cluster_est.problem.display import in_a_row, in_sentences, percent, plain_number
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.result import Result
+from workers.effects.forms import FORMS
 from workers.effects.kinds import FREE_FAMILIES
+from workers.effects.site import parse_site
 from workers.messages import Role
 
 DECLARED = "the declared model"
@@ -88,11 +90,24 @@ def with_claims(
             closed=float((before - after) / max(before - 1.0, 1e-12)),
             rival=rival,
             chosen=chosen,
-            at_end=any(each.at_bound for each in effect.coefficients),
+            at_end=any(each.at_bound for each in effect.coefficients) or _may_be_zero(effect),
             free=effect.family in FREE_FAMILIES,
         )
         found.append(replace(effect, claim=(claim if claimed else lead)(evidence)))
     return tuple(found)
+
+
+def _may_be_zero(effect: NamedEffect) -> bool:
+    """Return whether the strengths have values by experiment, and no interval excludes zero.
+
+    Other strengths are tested before an effect is an answer (see `selection.answer`).
+    """
+    form = FORMS.get((parse_site(effect.site, effect.name).kind, effect.form))
+    known = () if form is None else form.coefficients
+    strengths = [f"{effect.name}.{c.name}" for c in known if c.neutral == 0.0]
+    own = [e for e in effect.coefficients if e.parameter in strengths and e.estimated_on == "train"]
+    excluded = any(e.lower95 > 0.0 or e.upper95 < 0.0 for e in own)
+    return any(e.label != e.parameter for e in own) and not excluded
 
 
 def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
@@ -117,7 +132,7 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
         return text
     it = "it" if len(leads) == 1 else "them"
     return (
-        f"{text}; below {percent(CLAIMED)}, an effect is only a lead: check {in_a_row(leads)} by a "
+        f"{text}. Below {percent(CLAIMED)}, an effect is only a lead: check {in_a_row(leads)} by a "
         f"test or an inspection before you rely on {it}"
     )
 
@@ -177,7 +192,7 @@ def doubted(
     said = (*_at_bounds(added, after), *far)
     told: tuple[str, ...] = ()
     if said and judged.verdict is Verdict.FOUND:
-        reason = "; ".join([judged.reason, *said])
+        reason = in_sentences([judged.reason, *said])
         judged, told = replace(judged, verdict=Verdict.PARTIAL, reason=reason), said
     doubts = dict.fromkeys([*slow.values(), *said])
     return judged, tuple(each for each in doubts if each not in told)

@@ -4,18 +4,19 @@ A claim is right if the place, the argument and the kind of the effect are those
 effect, or of an equation with the same values on the data. The probability comes from a logistic
 regression with a few numbers of the evidence. It was fitted to claims of the benchmark, for which
 the truth is known; `scripts/bench_closed_loop.py --calibrate` fits it again. The sentence on a
-claim says how many benchmark claims with a similar probability were right. The share of the gap
-that is closed, rivals, the order of the effects and the number of improved parts were also tried,
-but in the benchmark they do not distinguish right claims from wrong ones.
+claim says how many benchmark claims in a range of probabilities around it were right. The share of
+the gap that is closed, rivals, the order of the effects and the number of improved parts were also
+tried, but in the benchmark they do not distinguish right claims from wrong ones.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.problem.display import percent
+from cluster_est.problem.display import in_percent, percent
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class ClaimEvidence:
     chosen
         Share of the resamplings whose best structure contains the effect; NaN if not known.
     at_end
-        Whether one of its coefficients is at the end of its range.
+        Whether one of its coefficients is at the end of its range, or all of its strengths, one
+        for each experiment, may be zero.
     free
         Whether it is a free curve.
     """
@@ -55,7 +57,7 @@ class ClaimEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the remaining error is large, or a coefficient is at the end of its range.
+        """Whether the remaining error is large, or a coefficient is not determined (`at_end`).
 
         Such claims are rare in the benchmark, and frequent on measured data. They are counted
         separately.
@@ -181,7 +183,7 @@ class Claim:
         Probability that place and law are right; for a free curve, that the place is right. NaN
         for a lead.
     sentence
-        The probability in words, and how many similar claims in the benchmark were right.
+        The probability in words, and how many claims in this range of the benchmark were right.
     evidence
         The evidence from which it was computed.
     """
@@ -213,27 +215,38 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
         alike = known.curves
         said = (
             "this is a place without a law: "
-            f"{_of_alike(alike, 'free curves', 'at the right place')}"
+            f"{_of_alike(alike, '{} free curves', 'at the right place')}"
         )
         return Claim(alike.expected, said, evidence)
     weights = known.fewer, known.clean, known.apart, known.chosen
     odds = known.intercept + float(np.dot(weights, figures(evidence)))
     probability = float(1.0 / (1.0 + np.exp(-odds)))
-    alike = max((a for a in known.alike if a.least <= probability), default=known.alike[0],
-                key=lambda a: a.least)  # fmt: skip
-    called, most = "similar claims", known.alike[-1]
-    if evidence.doubtful:
-        alike = most = known.doubtful
-        called = "equally doubtful claims"
+    alike, called = _with_like_probability(known.alike, probability)
+    most = known.doubtful if evidence.doubtful else known.alike[-1]
     # the regression may extrapolate, so the share of right claims is an upper limit
-    probability = min(probability, most.expected)
-    said = (
-        f"place and law are right with a probability of {percent(probability)}: "
-        f"{_of_alike(alike, called)} ({AGREEING})"
-    )
-    if probability < CLAIMED:
+    certain = min(probability, most.expected)
+    said = f"place and law are right with a probability of {percent(certain)}"
+    if not evidence.doubtful:
+        said += f": {_of_alike(alike, called)}"
+    elif certain < probability:  # otherwise the share of right claims is not the reason
+        said += f": {_of_alike(most, '{} equally doubtful claims')}"
+    said += f" ({AGREEING})"
+    if certain < CLAIMED:
         said = f"this is a lead, not a claim: {said}"
-    return Claim(probability, said, evidence)
+    return Claim(certain, said, evidence)
+
+
+def _with_like_probability(
+    groups: Sequence[LikeClaims], probability: float
+) -> tuple[LikeClaims, str]:
+    """Return the group of claims with such a probability, and its range in words."""
+    place = max((i for i, each in enumerate(groups) if each.least <= probability), default=0)
+    if place == len(groups) - 1:
+        return groups[place], "the {} surest claims"
+    above = percent(groups[place + 1].least)
+    if not place:
+        return groups[place], f"{{}} claims with less than {above}"
+    return groups[place], f"{{}} claims with {percent(groups[place].least)} to {above}"
 
 
 def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Claim:
@@ -241,10 +254,11 @@ def lead(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Clai
     right, place = known.leads, known.lead_places
     few = " (a small number)" if right.of < FEW else ""
     were = "was" if right.right == 1 else "were"
+    both, one = (in_percent(each.right / each.of) for each in (right, place))
     said = (
         f"this is a lead, not a claim: of {right.of} leads in the benchmark{few}, in which the "
-        f"missing effect is known, {right.right} ({right.right / right.of:.0%}) {were} right in "
-        f"place and law, and {place.right} ({place.right / place.of:.0%}) at least in place"
+        f"missing effect is known, {right.right} ({both}) {were} right in place and law, and "
+        f"{place.right} ({one}) at least in place"
     )
     return Claim(np.nan, said, evidence)
 
@@ -253,4 +267,4 @@ def _of_alike(alike: LikeClaims, called: str, right: str = "right") -> str:
     """Say how many of a group of similar claims were right."""
     were = "was" if alike.right == 1 else "were"
     few = " (a small number)" if alike.of < FEW else ""
-    return f"of {alike.of} {called} in the benchmark{few}, {alike.right} {were} {right}"
+    return f"of {called.format(alike.of)} in the benchmark{few}, {alike.right} {were} {right}"

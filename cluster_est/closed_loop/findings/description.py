@@ -16,14 +16,14 @@ from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
 )
-from cluster_est.closed_loop.findings.naming import EffectName, Namer
+from cluster_est.closed_loop.findings.naming import EffectName, Namer, variables_of_effect
 from cluster_est.closed_loop.findings.unexplained import varying_columns
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.acceptance import period_of, residuals_without
 from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import CandidateStage
-from cluster_est.problem.display import in_a_row, readable_time
+from cluster_est.problem.display import SAME_PREDICTION, in_a_row, in_percent, readable_time
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
@@ -171,12 +171,12 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
                 f"output {fitter.records.outputs[record.output]} of experiment {run.id!r} "
                 f"between t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
             )
-    share = best[0] / total
-    if share < STANDS_OUT * best[1]:
+    part = best[0] / total
+    if part < STANDS_OUT * best[1]:
         return "the remaining error is spread evenly over all experiments"
     return (
-        f"the remaining error is largest in {best[2]}: {share:.0%} of the squared error is in "
-        f"{best[1]:.1%} of the samples"
+        f"the remaining error is largest in {best[2]}: {in_percent(part)} of the squared error is "
+        f"in {in_percent(best[1], 1)} of the samples"
     )
 
 
@@ -189,20 +189,19 @@ def _describe(
     curve: EffectCurve | None,
 ) -> NamedEffect:
     name = candidate.effect.name
-    won, rivals = found.rivals.get(name, (None, []))
     coefficients = tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
     period = period_of(candidate, found.current)
     labels = [f"{name}.{c.name}" for c in candidate.form.coefficients]
     known = [[e.value for e in coefficients if e.parameter == label] for label in labels]
     values = [float(np.mean(own)) if own else np.nan for own in known]
-    named = namer.name(candidate, values, curve)
-    also = _agreeing(fitter, result, namer, named, curve)
+    named = namer.name(candidate, values, curve, _interval(coefficients, f"{name}.n"))
+    also = _agreeing(fitter, result, named, curve)
     return NamedEffect(
         effect=candidate.effect,
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=coefficients,
-        alternatives=_alternatives(fitter, found, candidate, won, rivals, namer),
+        alternatives=_alternatives(fitter, found, candidate, namer, result),
         evidence=(
             *_evidence(found, candidate, period),
             *_columns(fitter, found, candidate, period),
@@ -222,10 +221,15 @@ FEEDS_ENERGY = (
 )
 
 
+def _interval(coefficients: Sequence[Estimate], parameter: str) -> tuple[float, float] | None:
+    """Return the 95 % interval of a coefficient; None if the data do not determine it."""
+    ends = [(e.lower95, e.upper95) for e in coefficients if e.parameter == parameter]
+    return ends[0] if len(ends) == 1 and all(map(math.isfinite, ends[0])) else None
+
+
 def _agreeing(
     fitter: Fitter,
     result: Result,
-    namer: Namer,
     named: EffectName,
     curve: EffectCurve | None,
 ) -> tuple[AgreeingEquation, ...]:
@@ -233,22 +237,21 @@ def _agreeing(
     shape = None if curve is None else shape_over(curve, result, fitter.description)
     if curve is None or shape is None:
         return ()
-    negative = namer.may_be_negative(curve.variable)
-    return agreements(curve, shape, named.placed.law, named.of_law, negative=negative)
+    return agreements(curve, shape, named.placed.law, named.of_law)
 
 
 def _alternatives(
     fitter: Fitter,
     found: SelectionResult,
     candidate: EffectCandidate,
-    won: RefittedCandidate | None,
-    rivals: Sequence[RefittedCandidate],
     namer: Namer,
+    result: Result,
 ) -> tuple[AlternativeEffect, ...]:
     """Return the rivals that the data do not exclude: their predictions are similar everywhere.
 
     Other effects of the same structure are not rivals.
     """
+    won, rivals = found.rivals.get(candidate.effect.name, (None, []))
     if won is None:
         return ()
     others = {c.effect.name for c in found.current.added if c is not candidate}
@@ -266,16 +269,57 @@ def _alternatives(
                 form=other.form.name,
                 family=other.form.family,
                 variables=other.effect.variables,
-                equation=other.equation,
+                equation="" if other.form.law is Law.DELAYED else other.equation,
                 criterion=float(rival.criterion - won.criterion),
                 experiment=where,
                 output=output,
                 time=when,
                 difference=size,
                 words=namer.name(other, other.point(rival.fitted.coefficients(other)), None).words,
+                parameters=_moved_parameters(result, rival),
+                nested=size < SAME_PREDICTION and _contains(other, candidate),
             )
         )
     return tuple(made)
+
+
+WITHOUT_ITS_TIME = {
+    Law.LAGGED: Law.LINEAR,
+    Law.DELAYED: Law.LINEAR,
+    Law.LAGGED_SQUARE: Law.SQUARE,
+    Law.TWO_LAGS: Law.LAGGED,
+    Law.SECOND_ORDER_LAG: Law.FIRST_ORDER_LAG,
+    Law.TWO_STORES: Law.STORE,
+}
+"""By law: the law to which it tends as its delay, or one of its time constants, tends to 0."""
+
+
+def _contains(rival: EffectCandidate, candidate: EffectCandidate) -> bool:
+    """Return whether a rival is the law of an effect if one of the rival's times is 0."""
+    place = rival.site == candidate.site and (
+        variables_of_effect(rival) == variables_of_effect(candidate)
+    )
+    limit = WITHOUT_ITS_TIME.get(rival.form.law)
+    return place and candidate.form.law in (limit, limit and WITHOUT_ITS_TIME.get(limit))
+
+
+MOST_MOVED = 3
+"""Largest number of parameters that are named because another effect gives them other values."""
+
+
+def _moved_parameters(result: Result, rival: RefittedCandidate) -> str:
+    """Name the declared parameters whose values with a rival are outside of their intervals."""
+    if not (rival.full or rival.fitted.converged):
+        return ""
+    values, effects = rival.fitted.estimates, [f"{e.name}." for e in result.problem.effects]
+    moved = []
+    for each in result.estimates:
+        half, value = 0.5 * (each.upper95 - each.lower95), values.get(each.label, math.nan)
+        shared = each.label == each.parameter and not each.label.startswith(tuple(effects))
+        if shared and half > 0.0 and abs(value - each.value) > half:
+            said = f"{each.label} = {value:.4g} instead of {each.value:.4g}{in_unit(each.unit)}"
+            moved.append((-abs(value - each.value) / half, said))
+    return in_a_row([said for _, said in sorted(moved)[:MOST_MOVED]]) if moved else ""
 
 
 def _largest_difference(
@@ -318,14 +362,17 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float)
             "clock; if a measured quantity oscillates with this period, declare that quantity as a "
             "signal"
         )
+    accepted = [f for f in found.findings if f.stage is CandidateStage.ACCEPTED]
     for finding in found.findings:
         own = (finding.site, finding.form, finding.variables)
         if own != (str(candidate.site), candidate.form.name, candidate.effect.variables):
             continue
         if finding.stage is CandidateStage.ACCEPTED:
+            several = sum(f.step == finding.step for f in accepted) > 1
+            fall = "with all effects of this step together, the" if several else "the"
             sentences.append(
-                f"step {finding.step}: explains {finding.explained:.0%} of the residual; the "
-                f"criterion falls by {-finding.criterion:.0f}"
+                f"step {finding.step}: explains {in_percent(finding.explained)} of the residual; "
+                f"{fall} criterion falls by {-finding.criterion:.0f}"
             )
     return tuple(sentences)
 
@@ -461,7 +508,7 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     """Name an equation with nearly the same values, and where to measure to distinguish the two."""
     named = f"{also.equation} ({also.words})" if also.words else also.equation
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
-    off = f"differs by at most {also.difference:.2g}{unit} ({also.share:.1%}) from"
+    off = f"differs by at most {also.difference:.2g}{unit} ({in_percent(also.share, 1)}) from"
     return (
         f"Over that range, it {off if also.share > ROUNDING else 'equals'} {named}. At "
         f"{curve.variable} = {also.told_at:.3g}{over}, the two would differ by "

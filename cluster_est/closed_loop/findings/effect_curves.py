@@ -1,8 +1,8 @@
 """Curves of the effects that were found: estimates from the residuals, and equations that agree.
 
-If v is never negative, v^2 and v|v| are the same, and a switch with the sign of v is a constant. No
-search can distinguish them on such data. So a finding names both equations, and says where a
-measurement would distinguish them.
+If v is far from zero, a switch with the sign of v is a constant, and over a narrow range a square
+is a line. No search can distinguish them on such data. So a finding names both equations, and says
+where a measurement would distinguish them.
 """
 
 from __future__ import annotations
@@ -153,8 +153,9 @@ CLOSE = 0.1
 CLEARLY_DIFFERENT = 0.25
 """A measurement distinguishes two equations where they differ by at least this share."""
 
-BEYOND = 1.5
-"""Range of the search for such a difference, relative to the largest absolute value in the data."""
+BEYOND = 0.5
+"""How far beyond the data a difference is searched, relative to their largest absolute value. By
+definition: a system can hardly be operated at far larger values."""
 
 MOST_AGREEING = 3
 """Largest number of equations that are named in addition to the one that was found."""
@@ -179,15 +180,14 @@ def agreements(
     shape: Shape,
     own: Law,
     named: Callable[[Law], str],
-    *,
-    negative: bool = True,
 ) -> tuple[AgreeingEquation, ...]:
     """Return equations that agree with a found effect wherever the data were; the closest first.
 
     Each law is fitted to the curve of the effect over the samples. It agrees if the difference is
     smaller than the effect's own standard error, both as root mean squares over the samples, and
     never above a tenth of the effect's largest size. A law that differs clearly nowhere, even
-    outside the data, is the same equation written in another way, and is not named.
+    moderately beyond the data, is the same equation written in another way, and is not named: if v
+    is never negative, v|v| is v^2.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def agreements(
         apart, largest = float(np.sqrt(np.average(off**2, weights=weights))), float(off.max())
         if apart > error or largest > CLOSE * size:
             continue
-        told = _told_apart(curve, shape, other, strength, size, negative=negative)
+        told = _told_apart(curve, shape, other, strength, size)
         if told is not None:
             equation = f"{strength:.4g} * {text.format(v=bracketed(curve.variable))}"
             known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
@@ -232,12 +232,18 @@ def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> f
 
 
 def _told_apart(
-    curve: EffectCurve, one: Shape, other: Shape, strength: float, size: float, *, negative: bool
+    curve: EffectCurve, one: Shape, other: Shape, strength: float, size: float
 ) -> tuple[float, float] | None:
-    """Return the value nearest to the data at which two laws clearly differ, and the difference."""
+    """Return the value nearest to the data at which two laws clearly differ, and the difference.
+
+    A signal that did not change its sign is not expected to do so: an amount or a pressure cannot.
+    """
     low, high = float(curve.edges[0]), float(curve.edges[-1])
-    far = BEYOND * max(abs(low), abs(high))
-    x = np.linspace(-far if negative else 0.0, far, 1201)
+    beyond = BEYOND * max(abs(low), abs(high))
+    first, last = low - beyond, high + beyond
+    x = np.linspace(
+        max(first, 0.0) if low >= 0.0 else first, min(last, 0.0) if high <= 0.0 else last, 1201
+    )
     apart = np.abs(one(x) - strength * other(x))
     clear = np.isfinite(apart) & (apart >= CLEARLY_DIFFERENT * size)
     if not clear.any():

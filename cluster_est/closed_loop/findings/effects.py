@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from cluster_est.closed_loop.findings.claims import Claim
+from cluster_est.problem.display import in_sentences
 from cluster_est.problem.parameter import Parameter
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
@@ -35,7 +36,7 @@ class AlternativeEffect:
     Attributes
     ----------
     site, form, family, variables, equation
-        Properties of the effect.
+        Properties of the effect. The equation is "" if its own states only approximate a delay.
     criterion
         Information criterion, minus that of the chosen effect (negative: better).
     experiment, output, time
@@ -44,6 +45,10 @@ class AlternativeEffect:
         Difference of the two predictions there, in standard deviations of the noise.
     words
         Its name in physics or mathematics.
+    parameters
+        Values of declared parameters with it, outside of their intervals with the chosen effect.
+    nested
+        Whether it is the chosen law with a delay or a lag that is too short to be seen.
     """
 
     site: str
@@ -57,6 +62,8 @@ class AlternativeEffect:
     time: float = np.nan
     difference: float = np.nan
     words: str = ""
+    parameters: str = ""
+    nested: bool = False
 
 
 @dataclass(frozen=True)
@@ -263,7 +270,7 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
         failed = not_simulated([e for e in errors if e.role == role])
         if failed:
             said.append(f"{kind} experiment {', '.join(failed)} could not be simulated")
-    return "; ".join(said)
+    return in_sentences(said)
 
 
 def _worst_output(errors: Sequence[ErrorChange], role: Role) -> str:

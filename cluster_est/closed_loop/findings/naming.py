@@ -47,6 +47,13 @@ from workers.effects.laws import Law
 from workers.effects.site import EffectSite, bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription
 
+OF_DRAG = (1.0, 2.0)
+"""Exponents of the drag in a fluid: laminar (Stokes) and turbulent flow (Newton)."""
+OF_NATURAL_CONVECTION = (5.0 / 4.0, 4.0 / 3.0)
+"""Exponents of the difference of temperatures: laminar and turbulent natural convection."""
+OF_ORIFICE, OF_WEIRS = 0.5, (1.5, 2.5)
+"""Exponents of a pressure or level at an orifice, and of a level above a weir that is rectangular
+or triangular."""
 MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
 
 
@@ -73,9 +80,16 @@ class Namer:
         self._level = _holds_levels(description, self.units)
 
     def name(
-        self, candidate: EffectCandidate, values: Sequence[float], curve: EffectCurve | None
+        self,
+        candidate: EffectCandidate,
+        values: Sequence[float],
+        curve: EffectCurve | None,
+        exponent: tuple[float, float] | None = None,
     ) -> EffectName:
-        """Name an effect, from its coefficients and its curve, if it has one."""
+        """Name an effect, from its coefficients, its curve, and its exponent's interval, if known.
+
+        Without an interval, the value of the exponent is used.
+        """
         law, site = candidate.form.law, candidate.site
         variables = variables_of_effect(candidate)
         known: list[Dimension | None] = [self.units.of(name) for name in variables]
@@ -96,6 +110,8 @@ class Namer:
             gain=change > 0,
             one_sided=seen is not None and (seen.x.min() >= 0.0 or seen.x.max() <= 0.0),
             level=self._level,
+            of_difference=bool(variables) and is_difference(variables[0]),
+            exponent=exponent or _exponent(candidate, values),
         )
         if law in ONE_WAVE and _at_lowest(candidate, values):
             (said,) = map(ONE_WAVE[law].format, map(bracketed, variables or (site.target,)))
@@ -104,16 +120,6 @@ class Namer:
         words = physics or _in_mathematics(law, site, variables)
         return EffectName(words, placed)
 
-    def may_be_negative(self, variable: str) -> bool:
-        """Return whether a variable can be negative; an amount, for example, cannot."""
-        known = self.units.of(variable)
-        if known is None or is_difference(variable):
-            return True
-        if known == TEMPERATURE:  # an absolute temperature
-            return False
-        amounts = (MASS, AMOUNT, VOLUME, CONCENTRATION, DENSITY)
-        return not known.same_as(*amounts, *((LENGTH,) if self._level else ()))
-
 
 ONE_WAVE = {
     Law.PERIODIC: "a term in {} that shows only one period in the data",
@@ -121,6 +127,15 @@ ONE_WAVE = {
     Law.PERIODIC_ERROR: "a part that varies over {} and shows only one period in the data",
 }
 """Names of waves with the longest allowed period: the data do not show that they repeat."""
+
+
+def _exponent(candidate: EffectCandidate, values: Sequence[float]) -> tuple[float, float] | None:
+    """Return the exponent n of a power law, as an interval of no width; None if it is unknown."""
+    names = [c.name for c in candidate.form.coefficients]
+    if "n" not in names or len(values) != len(names):
+        return None
+    n = values[names.index("n")]
+    return (n, n) if np.isfinite(n) else None
 
 
 def _at_lowest(candidate: EffectCandidate, values: Sequence[float]) -> bool:
@@ -184,8 +199,9 @@ def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: 
         spill = law is Law.ABOVE and variables[0] == site.target
         return spill or variables[0] == own_variable(site)
     over = difference(site.target, "")  # differences between the state and its surroundings
-    return site.kind == "derivative" and (
-        variables[0] == site.target or variables[0].startswith(over)
+    factors = variables if law is Law.PRODUCT else variables[:1]
+    return site.kind == "derivative" and any(
+        v == site.target or v.startswith(over) for v in factors
     )
 
 
@@ -208,6 +224,8 @@ def _direction(
     """
     if curve is None and law is Law.SWITCH_BY_MAGNITUDE:
         return -1  # the bounds of its strength make it remove energy
+    if law is Law.PRODUCT:
+        return int(np.sign(values[0])) if len(values) and np.isfinite(values[0]) else 0
     if curve is not None:
         x, y = curve.x, curve.y
         if candidate.site.kind == "parameter" and len(values):
@@ -268,13 +286,17 @@ class PlacedLaw:
         Whether the variable is the integral of this quantity.
     loss
         The effect decreases the quantity if the variable is positive, or beyond a threshold, and
-        increases it if the variable is negative.
+        increases it if the variable is negative. For a product: its coefficient is negative.
     gain
         The opposite of `loss`. Both may be false.
     one_sided
         Whether the variable had the same sign in all data.
     level
         Whether a length is the level of a fluid: the model has flows or areas, and no moving parts.
+    of_difference
+        Whether the first variable is a difference of two variables.
+    exponent
+        Interval of the exponent of a power law; None if it is unknown.
     """
 
     law: Law
@@ -288,6 +310,12 @@ class PlacedLaw:
     gain: bool = False
     one_sided: bool = False
     level: bool = False
+    of_difference: bool = False
+    exponent: tuple[float, float] | None = None
+
+    def has_exponent(self, low: float, high: float) -> bool:
+        """Return whether the interval of the exponent meets what is known from physics."""
+        return self.exponent is not None and self.exponent[0] <= high and low <= self.exponent[1]
 
     @property
     def at_rates(self) -> bool:
@@ -325,7 +353,7 @@ FRICTION = {
     Law.LINEAR: "viscous friction",
     Law.ODD_SQUARE: "quadratic drag",
     Law.CUBE: "damping that grows with the cube of the speed",
-    Law.POWER: "drag proportional to a power of the speed",
+    Law.POWER: "friction proportional to a power of the speed",
     Law.SWITCH: "Coulomb friction",
     Law.SWITCH_WITH_PEAK: "Stribeck friction",
     Law.TWO_SWITCHES: "Coulomb friction that differs between the two directions",
@@ -350,6 +378,8 @@ def _motion(placed: PlacedLaw) -> str:
         return ""
     way = LENGTH if speed is SPEED else ANGLE
     if placed.own and placed.loss and placed.argument.same_as(speed):
+        if placed.law is Law.POWER and placed.has_exponent(*OF_DRAG):
+            return "drag proportional to a power of the speed"
         squared = placed.law is Law.SQUARE and placed.one_sided
         return FRICTION.get(Law.ODD_SQUARE if squared else placed.law, "")
     if placed.law is Law.PERIODIC_TRAVEL and placed.own and placed.argument.same_as(speed):
@@ -372,7 +402,8 @@ def _heat(placed: PlacedLaw) -> str:
     if placed.argument.same_as(TEMPERATURE) and placed.own and placed.loss:
         goes = "heat conduction or convection" if placed.kind == "pair" else "heat loss"
         if placed.law is Law.POWER:
-            return f"{goes} by a power law (as in natural convection)"
+            natural = placed.of_difference and placed.has_exponent(*OF_NATURAL_CONVECTION)
+            return f"{goes} by a power law{' (as in natural convection)' if natural else ''}"
         return goes if placed.law is Law.LINEAR else ""
     if placed.law is Law.FOURTH_DIFFERENCE:
         return "thermal radiation"
@@ -384,7 +415,9 @@ def _heat(placed: PlacedLaw) -> str:
         pair = (placed.argument, placed.second)
         carried = any(d.same_as(FLOW, MASS_FLOW, SPEED) for d in pair)
         warm = any(d.same_as(TEMPERATURE) for d in pair)
-        return "convection (heat transport by a flow)" if carried and warm else ""
+        # a flow takes the heat of the state away, and brings that of another place
+        right_way = placed.loss if placed.own else placed.gain
+        return "convection (heat transport by a flow)" if carried and warm and right_way else ""
     return ""
 
 
@@ -403,11 +436,19 @@ def _flow(placed: PlacedLaw) -> str:
     if placed.law in (Law.ROOT, Law.ODD_ROOT):
         return "flow through an orifice"
     if placed.law is Law.POWER:
-        return "outflow by a power law (as through an orifice or over a weir)"
+        return f"outflow by a power law{_outflow(placed)}"
     if placed.law is not Law.ABOVE:
         return ""
     relieved = placed.argument.same_as(PRESSURE)
     return "outflow above a threshold (as through a relief valve)" if relieved else "overflow"
+
+
+def _outflow(placed: PlacedLaw) -> str:
+    """Name the openings that have such an exponent; "" if there are none."""
+    level = placed.argument is not None and placed.argument.same_as(LENGTH)
+    known = ["through an orifice"] if placed.has_exponent(OF_ORIFICE, OF_ORIFICE) else []
+    known += ["over a weir"] if level and any(placed.has_exponent(n, n) for n in OF_WEIRS) else []
+    return f" (as {' or '.join(known)})" if known else ""
 
 
 def _stock(placed: PlacedLaw) -> str:

@@ -73,7 +73,9 @@ class LoopResult(ResultView):
         If the verdict is "unexplained", the leads: effects that were not accepted, or the effects
         of the best set that was tried. `claim` says how often such leads were right.
     noise
-        Estimated standard deviation of each output's noise, in the output's unit. Empty with
+        Standard deviation of each output's noise, in the output's unit, estimated from the last
+        residuals. Without a declared sigma, errors are divided by the estimate from the residuals
+        of the declared model, so that they can be compared before and after. Empty with
         process noise, where the given sigma is used.
     sites
         The sites that were searched.

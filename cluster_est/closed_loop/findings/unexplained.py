@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import SHORTEST_SPECTRUM
-from cluster_est.problem.display import plain_number, readable_time
+from cluster_est.problem.display import in_percent, plain_number, readable_time
 from cluster_est.problem.tables.sources import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
 from cluster_est.statistics.dependence import dependence, periodic_share
@@ -211,8 +211,8 @@ class VaryingColumn:
             period = readable_time(self.period)
             return f"{name} has the same period as the residual, {period}: {self._advice}"
         return (
-            f"{name} explains {self.share:.0%} of the residual of {self.output}: {self._advice}, "
-            "unless the column is itself a consequence of the output"
+            f"{name} explains {in_percent(self.share)} of the residual of {self.output}: "
+            f"{self._advice}, unless the column is itself a consequence of the output"
         )
 
     @property

@@ -40,6 +40,7 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.problem.display import in_percent, in_sentences
 from cluster_est.statistics.residual_findings import autocorrelated
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.messages import FloatArray
@@ -85,8 +86,14 @@ class ReasonedVerdict:
 
     def refused(self, against: str) -> ReasonedVerdict:
         """Return the verdict "unexplained", with a reason against the effects that were claimed."""
-        reason = f"{self.reason}; but {against}, so nothing was added"
+        reason = f"{self.reason}. But {against}, so nothing was added"
         return replace(self, verdict=Verdict.UNEXPLAINED, reason=reason)
+
+    @property
+    def so_far(self) -> ReasonedVerdict:
+        """The verdict while the search still runs: at most "partial"."""
+        partial = Verdict.PARTIAL if self.verdict is Verdict.FOUND else self.verdict
+        return replace(self, verdict=partial)
 
     @property
     def over(self) -> str:
@@ -172,9 +179,9 @@ def _judged(
     closed = min(training, predicted)
     several = len(found.current.added) > 1
     closes = "the effects remove" if several else "the effect removes"
-    share = f"{closes} {training:.0%} of {EXCESS}"
+    said = f"{closes} {in_percent(training)} of {EXCESS}"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
-        share += f" ({predicted:.0%} in {CROSS_VALIDATION})"
+        said += f" ({in_percent(predicted)} in {CROSS_VALIDATION})"
     tables = any(c.form.free for c in found.current.added)
     dynamics = any(c.form.is_dynamics for c in found.current.added)
     # a curve can take any shape, so at the right place it must leave little
@@ -186,21 +193,21 @@ def _judged(
     quiet = not now.structured and predicted >= 0.0
     if quiet or closed > 1.0 - VERDICT.negligible:
         if tables:
-            share += (
+            said += (
                 ", with hidden dynamics that no form in the library describes"
                 if dynamics
                 else ", with a free curve, because the shape is not in the library"
             )
-        return ReasonedVerdict(Verdict.FOUND, share, closed, most)
+        return ReasonedVerdict(Verdict.FOUND, said, closed, most)
     mostly = found.prediction.is_better_than(found.base_prediction)
     if now.of_sensors and not tables and mostly:
         rest = (
-            f"{share}; what remains looks like autocorrelated sensor noise, so no further effect "
+            f"{said}; what remains looks like autocorrelated sensor noise, so no further effect "
             "is needed"
         )
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
     if closed > most:
-        reason = f"{share}; the residual still has structure"
+        reason = f"{said}; the residual still has structure"
         return ReasonedVerdict(Verdict.PARTIAL, reason, closed, most)
     if base.of_sensors:
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
@@ -237,9 +244,9 @@ def _little(training: float, predicted: float, most: float, *, several: bool) ->
         return f"{'predict' if several else 'predicts'} {WORSE}"
     needed = f" (more than {most:.0%} is needed)"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
-        said = f"would remove only {predicted:.0%} of {EXCESS} in {CROSS_VALIDATION}"
-        return f"{said}, and {training:.0%} in the fit{needed}"
-    return f"would remove only {training:.0%} of {EXCESS}{needed}"
+        said = f"would remove only {in_percent(predicted)} of {EXCESS} in {CROSS_VALIDATION}"
+        return f"{said}, and {in_percent(training)} in the fit{needed}"
+    return f"would remove only {in_percent(training)} of {EXCESS}{needed}"
 
 
 def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
@@ -291,8 +298,8 @@ def _why_not(found: SelectionResult) -> str:
     if why == RejectionReason.LITTLE_EXPLAINED and closed >= 0.0:
         return (
             f"and no effect explains the remaining error: the best candidate removes only "
-            f"{closed:.0%} of {EXCESS} in {CROSS_VALIDATION} (limit: closed_loop.least_gain = "
-            f"{found.settings.least_gain:g})"
+            f"{in_percent(closed)} of {EXCESS} in {CROSS_VALIDATION} (limit: "
+            f"closed_loop.least_gain = {found.settings.least_gain:g})"
         )
     if why in (RejectionReason.LITTLE_EXPLAINED, RejectionReason.NUMERICAL_ERROR):
         best = f"the best candidate {why.removeprefix('it ')}"
@@ -413,7 +420,7 @@ def confirmed(
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
         said += ", so it is not known whether everything was found"
-    return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
+    return replace(judged, verdict=verdict, reason=in_sentences((said, judged.reason)))
 
 
 def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:
@@ -457,7 +464,7 @@ def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopS
     closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan
     if closed < judged.least:
         return (
-            f"on held-out data, the effects would remove only {closed:.0%} of {EXCESS}: the error "
-            f"would go from {old:.3g} to {new:.3g} times {judged.over}"
+            f"on held-out data, the effects would remove only {in_percent(closed)} of {EXCESS}: "
+            f"the error would go from {old:.3g} to {new:.3g} times {judged.over}"
         )
     return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from math import comb
 
@@ -21,6 +22,10 @@ the probability that all gaps are so close to whole numbers is (2 * 0.01)^4, abo
 SHARE_OF_REPEATED_VALUES = 0.5
 """Share of repeated values above which one gap is enough, because noise in double precision never
 repeats a value."""
+
+
+STEP_OVER_DEVIATION = math.sqrt(12.0)
+"""Ratio of a rounding step to the standard deviation of its error; see `quantisation_step`."""
 
 
 def quantisation_step(values: FloatArray) -> float:

@@ -75,7 +75,7 @@ def test_two_terms_are_found_together():
     assert {effect.form for effect in result.effects} == set(LAWS)
     for effect in result.effects:
         assert effect.coefficients[0].value == pytest.approx(LAWS[effect.form][0], rel=0.03)
-    assert "the effects remove 100%" in result.message
+    assert "The effects remove 100%" in result.message
     assert any(
         "are functions of the same variable, qd, at output i" in note for note in result.notes
     )

@@ -80,7 +80,7 @@ def test_the_friction_takes_the_place_of_noise(rubbing):
     assert change.after == pytest.approx(PUSH, rel=0.3)
     assert change.before > 1.2 * change.after
     assert 0.0 < change.variance_left < 0.7
-    assert "process noise wind: standard deviation" in rubbing.message
+    assert "Process noise wind: standard deviation" in rubbing.message
     assert rubbing.facts()["process_noise"][0]["after"] == change.after
 
 
@@ -107,7 +107,7 @@ def test_nothing_but_the_noise_is_none():
         ce.close_loop(problem(0.0), scarce, SETTINGS)
     assert found.verdict == "none"
     assert found.effects == found.process_noise == ()
-    assert "process noise wind: standard deviation" in found.message
+    assert "Process noise wind: standard deviation" in found.message
     assert found.after is found.before
 
 

@@ -102,7 +102,7 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
     assert "drifts or sinusoids in time would remove a part of the squared error" in found.message
-    assert "the cause may also be an unmeasured disturbance" in found.message
+    assert "The cause may also be an unmeasured disturbance" in found.message
     assert any("so they are too narrow" in note for note in found.notes)
     assert any("largest in" in note or "spread evenly" in note for note in found.notes)
     assert found.rejected
@@ -150,7 +150,7 @@ def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
     problem = replace(problem, tables=tuple(sources))
     found = ce.close_loop(problem, settings=settings("der(v)", "coulomb", "cubic"))
     assert found.verdict == Verdict.UNEXPLAINED
-    assert "the unused column 'gust_N' explains" in found.message
+    assert "The unused column 'gust_N' explains" in found.message
     assert [len(each.columns) for each in found.unexplained] == [1]
 
 

@@ -11,6 +11,7 @@ from support.reported import Page
 from cluster_est.cli import main
 from cluster_est.html_report.activity import FailureGroup, LogActivity
 from cluster_est.html_report.page import write_report
+from cluster_est.problem.display import NO_ALTERNATIVE
 
 PARAMETER = {
     "label": "k", "value": 1.0, "start": 2.0, "lower": 0.0, "upper": 9.0, "lower95": 0.9,
@@ -102,6 +103,37 @@ def test_effects_and_leads_say_how_often_such_were_right(printed, page):
     unexplained = {"verdict": "unexplained", "rejected": [EFFECT | {"claim": {"sentence": lead}}]}
     assert f"der(v) += k * v^2; {lead}" in printed(LOOP | unexplained)
     assert f"T{lead[1:]}." in page(LOOP | unexplained)
+
+
+def test_a_lead_is_no_strong_evidence_against_other_candidates(printed, page):
+    for claimed in (True, False):
+        facts = LOOP | {"effects": [EFFECT | {"claimed": claimed}]}
+        assert (NO_ALTERNATIVE in printed(facts)) is claimed
+        assert (NO_ALTERNATIVE in page(facts)) is claimed
+
+
+def test_the_same_law_with_a_short_lag_is_neither_named_nor_excluded(printed, page):
+    facts = LOOP | {"effects": [EFFECT | {"alternatives": [SAME | {"nested": True}]}]}
+    for said in (printed(facts), page(facts)):
+        assert "curve at der(v)" not in said
+        assert NO_ALTERNATIVE not in said
+
+
+@pytest.mark.parametrize(("noise", "said"), [(0.5, False), (0.4, True)])
+def test_a_noise_that_the_errors_are_not_divided_by_is_told_apart(printed, noise, said):
+    """The errors of y are 1 m, which is 2 times the noise of the declared model."""
+    text = printed(LOOP | {"effects": [EFFECT], "noise": {"y": noise}})
+    assert f"noise estimated from the residuals with the effects: y {noise}" in text
+    assert (
+        "the errors are divided by the noise estimated without the effects: y 0.5" in text
+    ) is said
+
+
+def test_an_alternative_without_an_equation_and_with_other_parameters(printed, page):
+    other = SAME | {"equation": "", "parameters": "k = 1.6 instead of 2.1 N/m"}
+    facts = LOOP | {"effects": [EFFECT | {"alternatives": [other]}]}
+    assert "from: curve at der(v); with it, k = 1.6 instead of 2.1 N/m (crit" in printed(facts)
+    assert "curve at der(v) (with it, k = 1.6 instead of 2.1 N/m)" in page(facts)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.named_effects import estimate
 
 from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
 from cluster_est.closed_loop.findings.claims import (
@@ -50,26 +51,32 @@ def test_nothing_is_surer_than_the_surest_claims_of_the_benchmark_allow_for():
     sure = claim(EVIDENCE, replace(KNOWN, intercept=50.0))
     assert sure.probability == pytest.approx(39 / 42)
     assert sure.sentence.endswith(
-        f"of 40 similar claims in the benchmark, 38 were right {AGREEING}"
+        f"of the 40 surest claims in the benchmark, 38 were right {AGREEING}"
     )
 
 
 AGREEING = "(a law that agrees with the true one on the data counts as right)"
 
 
-@pytest.mark.parametrize(("effects", "of"), [(3, 50), (1, 40)])
-def test_a_claim_says_how_many_like_it_were_right(effects, of):
-    known = replace(KNOWN, intercept=1.0)
-    found = claim(replace(EVIDENCE, effects=effects), known)
-    assert f"of {of} similar claims in the benchmark" in found.sentence
-    assert found.sentence.startswith(
-        f"place and law are right with a probability of {100 * found.probability:.0f} %"
-    )
+@pytest.mark.parametrize(
+    ("intercept", "like"),
+    [
+        (-4.0, "of 50 claims with less than 50 % in the benchmark, 20 were right"),
+        (-1.0, "of 50 claims with 50 % to 90 % in the benchmark, 40 were right"),
+        (1.0, "of the 40 surest claims in the benchmark, 38 were right"),
+    ],
+)
+def test_a_claim_says_how_many_were_right_in_which_range_of_probabilities(intercept, like):
+    found = claim(EVIDENCE, replace(KNOWN, intercept=intercept))
+    sure = f"place and law are right with a probability of {100 * found.probability:.0f} %"
+    said = f"{sure}: {like} {AGREEING}"
+    assert found.sentence.removeprefix("this is a lead, not a claim: ") == said
 
 
 def test_a_claim_below_all_of_the_benchmark_is_like_the_least_sure_ones():
     known = replace(KNOWN, alike=(LikeClaims(0.4, 20, 50), *KNOWN.alike[1:]))
-    assert "of 50 similar claims" in claim(replace(EVIDENCE, left=1.4, effects=5), known).sentence
+    found = claim(replace(EVIDENCE, left=1.4, effects=5), known)
+    assert "of 50 claims with less than 50 %" in found.sentence
 
 
 @pytest.mark.parametrize("doubt", [{"left": 1.6}, {"at_end": True}], ids=str)
@@ -84,6 +91,8 @@ def test_a_claim_in_doubt_is_no_surer_than_those_of_the_benchmark(doubt):
     )
     doubted = claim(replace(EVIDENCE, left=40.0, effects=4), replace(KNOWN, intercept=-3.0))
     assert doubted.probability < 10 / 23
+    share = f"{100 * doubted.probability:.0f} %" if doubted.probability >= 0.01 else "less than 1 %"
+    assert doubted.sentence.endswith(f"a probability of {share}")  # 9 of 21 is not the reason
 
 
 def test_a_choice_that_nobody_made_is_as_sure_as_one_that_is_made_always():
@@ -174,6 +183,30 @@ def test_experiments_may_differ_in_noise_that_is_estimated(declared, left):
     assert found.claim.evidence.left == pytest.approx(left)
 
 
+def by_experiment(form, *intervals, shared=()):
+    """An effect with a strength a for each experiment, and other coefficients."""
+    rows = [
+        replace(estimate("a", 0.5 * (low + high)), label=f"e.a[run {i}]", lower95=low, upper95=high)
+        for i, (low, high) in enumerate(intervals)
+    ]
+    made = replace(named(form, "der(v)"), coefficients=(*rows, *shared))
+    return replace(made, effect=replace(made.effect, name="e"))
+
+
+@pytest.mark.parametrize(
+    ("effect", "claimed"),
+    [
+        (by_experiment("emptying", (-1.0, 2.0), (-3.0, 1.0), shared=[estimate("tau", 9.0)]), False),
+        (by_experiment("emptying", (-1.0, np.nan), (np.nan, np.nan)), False),
+        (by_experiment("emptying", (-1.0, 2.0), (0.1, 1.0)), True),
+        (by_experiment("store_from_elsewhere", (-1.0, 2.0), shared=[estimate("k", 2.0)]), True),
+    ],
+)
+def test_strengths_by_experiment_that_may_all_be_zero_are_no_claim(effect, claimed):
+    (found,) = with_claims([effect], [ERROR, HELD_OUT], ROWS, declared=True, claimed=True)
+    assert found.claimed is claimed
+
+
 def test_nothing_is_said_where_no_noise_is_known():
     unknown = replace(ERROR, normalised_before=np.nan, normalised_after=np.nan)
     assert with_claims([FRICTION], [unknown], ROWS, declared=True, claimed=True) == (FRICTION,)
@@ -190,7 +223,7 @@ def test_the_summary_says_how_sure_each_effect_is():
     doubtful = with_claims([FRICTION], [ERROR, loud], ROWS, declared=True, claimed=True)
     assert not doubtful[0].claimed
     assert how_sure(doubtful, claimed=True).endswith(
-        "; below 50 %, an effect is only a lead: check coulomb at der(v) by a test or an "
+        ". Below 50 %, an effect is only a lead: check coulomb at der(v) by a test or an "
         "inspection before you rely on it"
     )
     leads = with_claims([FRICTION, GAIN], [ERROR, HELD_OUT], ROWS, declared=True, claimed=False)

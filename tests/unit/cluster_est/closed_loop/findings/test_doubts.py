@@ -31,7 +31,7 @@ def at_bound(*estimates):
             "half of saturation at input u at its upper bound, 31 m: with a coefficient",
         ),
         (at_bound(DECLARED), "k at its upper bound, 9: an effect may compensate for a value"),
-        (SLOW, "the last fit of the model with the effects did not converge"),
+        (SLOW, "last fit of the model with the effects did not converge"),
     ],
     ids=["shape at its end", "declared parameter at its bound", "not converged"],
 )
@@ -54,9 +54,9 @@ def test_without_doubts_what_was_found_stays_found():
 
 def test_each_cause_is_named_apart():
     judged, _ = doubted(FOUND, {"e": "saturation at input u"}, DONE, at_bound(SHAPE, DECLARED))
-    _, declared, shape = judged.reason.split("; ", maxsplit=2)
-    assert declared.startswith("the fit with the effects ends with k at its upper bound")
-    assert shape.startswith("the fit ends with half of saturation at input u at its upper bound")
+    _, declared, shape = judged.reason.split(". ", maxsplit=2)
+    assert declared.startswith("The fit with the effects ends with k at its upper bound")
+    assert shape.startswith("The fit ends with half of saturation at input u at its upper bound")
 
 
 def test_a_fit_of_the_declared_model_alone_bars_nothing_that_was_found():
@@ -77,8 +77,10 @@ def test_a_fit_that_ends_within_a_standard_error_of_its_minimum_is_good_enough(e
         FOUND, {"e": "saturation at input u"}, DONE, replace(SLOW, solution=solution)
     )
     assert judged.verdict is verdict
-    sentence = said[0] if verdict is Verdict.FOUND else judged.reason.split("; ", maxsplit=1)[1]
-    assert sentence.startswith("the last fit of the model with the effects did not converge")
+    sentence = said[0] if verdict is Verdict.FOUND else judged.reason.split(". ", maxsplit=1)[1]
+    assert sentence.lower().startswith(
+        "the last fit of the model with the effects did not converge"
+    )
 
 
 def test_where_nothing_was_added_bounds_are_no_doubt_of_an_effect():

@@ -3,13 +3,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from support.loop_objects import made_fit, made_fitter, made_problem
+from support.loop_objects import (
+    made_candidate,
+    made_fit,
+    made_fitter,
+    made_problem,
+    made_round,
+    made_screening,
+    made_selection,
+)
 
+from cluster_est.closed_loop.account import last_noise
 from cluster_est.closed_loop.findings.unexplained import unexplained_residuals
 from cluster_est.closed_loop.output_noise import (
     believed_noise,
     is_noise_of_sensors,
     residual_noise,
+    rounding_notes,
     suspected_sigma,
 )
 from cluster_est.statistics.noise.estimate import estimate_noise
@@ -50,6 +60,36 @@ def of_sensors(residual: np.ndarray, declared: float | None) -> bool:
     sigma = 1.0 if declared is None else declared
     outputs, _ = looked_at(made_problem(*LENGTHS, sigma=sigma), residual / sigma)
     return is_noise_of_sensors(outputs, near=1.5, largest=5.0, whitened=False)
+
+
+@pytest.mark.parametrize(
+    ("step", "noise", "said"), [(0.05, 0.0163, True), (0.05, 0.06, False), (0.0, 0.0163, False)]
+)
+def test_a_noise_that_is_mostly_rounding_is_named(step, noise, said):
+    problem = made_problem(600)
+    (run,) = problem.experiments
+    values = 3.0 * np.sin(7.0 * run.outputs[0].times)
+    values = step * np.rint(values / step) if step else values
+    output = replace(run.outputs[0], values=values)
+    problem = replace(problem, experiments=(replace(run, outputs=(output,)),))
+    notes = rounding_notes(made_fitter(problem), {"y0": noise})
+    assert len(notes) == said
+    assert not said or notes[0].startswith(
+        "the values of output y0 are multiples of 0.05: rounding alone causes an error of 0.0144"
+    )
+
+
+def test_the_noise_that_is_shown_with_effects_is_what_they_leave():
+    problem = made_problem(600)
+    random = np.random.default_rng(5)
+    noise = 0.14 * random.standard_normal(600)
+    added = [made_candidate("a")]
+    base = made_fit(problem, 2.0 * noise)
+    current = made_fit(problem, noise, added)
+    last = made_round(None, made_screening(base.jacobian, base.residuals, [], []))
+    found = made_selection(base, current, last, noise=[0.28])
+    assert last_noise(made_fitter(problem), found, keep=False) == pytest.approx(0.28)
+    assert last_noise(made_fitter(problem), found, keep=True) == pytest.approx(0.14, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(2))

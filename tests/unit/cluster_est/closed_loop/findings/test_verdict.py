@@ -26,6 +26,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.workbench import LoopScope
 from cluster_est.methods.method import Ending
+from cluster_est.problem.display import in_sentences
 from cluster_est.statistics.whiteness import SmoothnessTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
@@ -108,7 +109,7 @@ CASES = {
         Case(9.0, 1.0, CLEAN, families=("friction", "friction")), Verdict.FOUND,
         "the effects remove 100%"),
     "nearly all is explained": (
-        Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "the effect removes 100%"),
+        Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "the effect removes 99.5%"),
     "just less than nearly all": (
         Case(101.0, 4.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "the effect removes 97%"),
     "most is explained": (
@@ -169,6 +170,26 @@ def test_verdicts(name):
     judgement = judge(made_fitter(PROBLEM), case.search())
     assert judgement.verdict is expected
     assert said.removeprefix("it ") in judgement.reason
+
+
+@pytest.mark.parametrize(
+    ("verdict", "so_far"),
+    [
+        (Verdict.FOUND, Verdict.PARTIAL),
+        (Verdict.PARTIAL, Verdict.PARTIAL),
+        (Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
+        (Verdict.COLOURED, Verdict.COLOURED),
+    ],
+)
+def test_a_search_that_still_runs_claims_no_more_than_one_that_ended(verdict, so_far):
+    assert ReasonedVerdict(verdict, "").so_far.verdict is so_far
+
+
+def test_a_verdict_is_written_in_sentences():
+    said = confirmed(FOUND, FOLLOWED, LoopSettings()).reason
+    assert said.endswith("on held-out data. The effects close 99%")
+    assert in_sentences(["", "one", "", "two"]) == "one. Two"
+    assert in_sentences([""]) == ""
 
 
 def test_what_is_closed_is_the_lesser_of_training_and_prediction():
@@ -303,10 +324,10 @@ HELD_OUT = {
         [*changes((9.0, 1.1)), change("test", 9.0, NAN)], Verdict.UNEXPLAINED, "'lost' can no"),
     "a held-out experiment was never simulated": (
         [*FOLLOWED, change("test", NAN, NAN)], Verdict.PARTIAL,
-        "held-out experiment 'lost' could not be simulated, so it is not known"),
+        "Held-out experiment 'lost' could not be simulated, so it is not known"),
     "a training experiment was never simulated": (
         [*changes((9.0, 1.1)), change("train", NAN, NAN)], Verdict.PARTIAL,
-        "training experiment 'lost' could not be simulated"),
+        "Training experiment 'lost' could not be simulated"),
     "how much is too much is said of the size": (
         [*changes((90.0, 1.6), (90.0, 1.2)), change("test", NAN, NAN)], Verdict.PARTIAL,
         "1.20 times on held-out data, which exceeds the limit of 1.5"),

@@ -15,17 +15,24 @@ from support.loop_objects import (
     made_screening,
     made_selection,
 )
+from support.named_effects import estimate
 from support.problems.springs import spring_problem
 
-from cluster_est import LoopResult, Parameter
+from cluster_est import Effect, LoopResult, Parameter
 from cluster_est.closed_loop.findings.description import (
+    _contains,
     describe_effects,
     error_changes,
     shared_arguments,
     where_left,
 )
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
+from cluster_est.closed_loop.screening.screen import CandidateEvidence
+from cluster_est.closed_loop.settings import CandidateStage
+from cluster_est.html_report.number_text import percent
+from cluster_est.problem.display import in_percent
 from cluster_est.results.output_errors import OutputError
+from workers.effects.forms import FORMS
 
 
 def followed(problem, rmse, sigma):
@@ -72,7 +79,7 @@ def test_an_experiment_that_could_not_be_simulated_before_counts_after():
     assert row.normalised_after == pytest.approx(4.0)
 
 
-def alternatives(scale=1.0):
+def alternatives(scale=1.0, rival=None, known=()):
     """Of an effect and a rival, whose predictions differ in training and held-out experiments."""
     problem = made_problem(50, 50, 50, outputs=2, roles=("train", "test", "train"))
     fits = []
@@ -80,17 +87,18 @@ def alternatives(scale=1.0):
         residuals = np.zeros(200)
         residuals[10] = -8.0 * moved  # first experiment, y0
         residuals[150 + 49] = 2.0 * moved  # second training experiment, y1, last sample
-        added = made_candidate(name)
-        own = (Parameter(f"{name}.k", 0.5), Parameter(f"{name}.width", 0.01, fixed=True))
+        added = made_candidate(name) if rival is None or name == "a" else rival
+        own = tuple(Parameter(f"{name}.{c.name}", 0.5) for c in added.form.coefficients)
         grown = replace(problem, effects=(added.effect,), parameters=(*problem.parameters, *own))
         fits.append(made_fit(grown, residuals, [added]))
-    won, rival = (
+    won, lost = (
         made_refit(fit, criterion) for fit, criterion in zip(fits, (5.0, 8.0), strict=True)
     )
     last = made_round(None, made_screening(won.fitted.jacobian, np.zeros(200), [], []))
     found = made_selection(won.fitted, won.fitted, last, noise=[4.0, 0.5])
-    found = replace(found, rivals={"a": (won, [rival])})
-    (effect,) = describe_effects(made_fitter(problem), found, made_result(problem, []))
+    found = replace(found, rivals={"a": (won, [lost])})
+    result = replace(made_result(problem, []), estimates=tuple(known))
+    (effect,) = describe_effects(made_fitter(problem), found, result)
     return effect.alternatives
 
 
@@ -106,6 +114,91 @@ def test_an_alternative_says_where_it_differs_most_for_the_noise():
 
 def test_what_the_data_tell_apart_at_some_sample_is_no_alternative():
     assert alternatives(scale=3.0) == ()
+
+
+@pytest.mark.parametrize(
+    ("value", "upper", "said"),
+    [
+        (2.5, 2.6, "k = 1 instead of 2.5 N/m"),
+        (1.1, 1.3, ""),  # inside of the interval
+        (2.5, math.nan, ""),
+    ],
+)
+def test_an_alternative_names_the_parameters_that_it_changes(value, upper, said):
+    """With both effects, k was fitted to 1; the last fit has this value and interval."""
+    known = replace(
+        estimate("k", value, "N/m"), label="k", parameter="k", lower95=2 * value - upper,
+        upper95=upper,
+    )  # fmt: skip
+    (found,) = alternatives(known=[known])
+    assert found.parameters == said
+
+
+def law_at_v(name, form):
+    made = FORMS["derivative", form]
+    count = len(made.coefficients)
+    return replace(
+        made_candidate(name), effect=Effect(name, "der(v)", form, ("v",)), form=made,
+        grid=((0.0,) * count,), lowest=(-1.0,) * count, highest=(1.0,) * count,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("found", "rival", "nested"),
+    [
+        ("linear", "delayed", True),
+        ("viscous", "lagged", True),
+        ("square", "lagged", False),
+        ("delayed", "linear", False),
+    ],
+)
+def test_the_same_law_with_a_time_that_nobody_can_see_is_no_rival(found, rival, nested):
+    assert _contains(law_at_v("b", rival), law_at_v("a", found)) is nested
+    elsewhere = replace(law_at_v("a", found), effect=Effect("a", "der(v)", found, ("x",)))
+    assert not _contains(law_at_v("b", rival), elsewhere)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.0])
+def test_a_delay_has_no_equation_as_a_rival(scale):
+    (found,) = alternatives(scale, law_at_v("b", "delayed"))
+    assert (found.words, found.equation) == ("a term in the delayed v", "")
+
+
+def accepted(step, form, criterion):
+    return CandidateEvidence(
+        step, "der(v)", form, "friction", ("v",), 9.0, 1, -9.0, 0.3, 1.0, CandidateStage.ACCEPTED,
+        criterion,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("steps", "said"),
+    [
+        ((1, 2), "of the residual; the criterion falls by 500"),
+        ((1, 1), "of the residual; with all effects of this step together, the criterion falls"),
+    ],
+)
+def test_effects_that_were_added_together_share_one_fall_of_the_criterion(steps, said):
+    fit = made_fit(made_problem(50), np.zeros(50), [made_candidate("a")])
+    last = made_round(None, made_screening(fit.jacobian, fit.residuals, [], []))
+    rows = [accepted(steps[0], "coulomb", -500.0), accepted(steps[1], "viscous", -500.0)]
+    found = replace(made_selection(fit, fit, last), findings=tuple(rows))
+    problem = made_problem(50)
+    (effect,) = describe_effects(made_fitter(problem), found, made_result(problem, []))
+    assert said in effect.evidence[0]
+
+
+@pytest.mark.parametrize(
+    ("part", "decimals", "said"),
+    [
+        (0.43, 0, "43%"), (0.9988, 0, "99.9%"), (0.9999, 0, "99.99%"), (0.999999, 1, "more than"),
+        (1.0, 0, "100%"), (1.3, 0, "130%"), (0.0, 0, "0%"), (0.9996, 1, "99.96%"),
+    ],
+)  # fmt: skip
+def test_a_part_is_never_said_to_be_all(part, decimals, said):
+    assert in_percent(part, decimals).startswith(said)
+    shown = percent(part).replace("\u2009", "")
+    assert part >= 1.0 or float(shown.removeprefix("more than ").rstrip("%")) < 100.0
 
 
 def test_an_output_without_samples_in_an_experiment_is_passed_over():
