@@ -6,7 +6,7 @@ A preliminary result is also made after each round, in case the search is interr
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -186,6 +186,16 @@ class LastAnswer:
     number: int = 0
     against: tuple[str, ...] = ()
 
+    @property
+    def confirmed(self) -> ReasonedVerdict:
+        """The verdict after the check on held-out data."""
+        return confirmed(self.judged, self.fits.errors, self.found.settings)
+
+    @property
+    def keeps_effects(self) -> bool:
+        """Whether the effects of the answer are reported as found."""
+        return self.confirmed.verdict in CLAIMS
+
 
 def last_answer(
     ends: Sequence[tuple[SelectionResult, ReasonedVerdict]],
@@ -220,12 +230,16 @@ def last_answer(
     return refused[0]
 
 
-def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
-    """Check the answer on the held-out experiments, and return the result with its texts."""
+def account(
+    fitter: Fitter, answer: LastAnswer, scope: LoopScope, linear: Collection[str] = ()
+) -> LoopResult:
+    """Check the answer on the held-out experiments, and return the result with its texts.
+
+    `linear` are the inputs whose linear interpolation the measurements confirm.
+    """
     found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
-    judgement = confirmed(answer.judged, fits.errors, found.settings)
-    keep = judgement.verdict in CLAIMS
+    judgement, keep = answer.confirmed, answer.keeps_effects
     after, kept = (grown, found.current) if keep else (before, found.base)
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
@@ -267,7 +281,10 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     said.insert(1, how_sure(named, claimed=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
-    notes = (*failed, *_nothing_tried(found, scope.sites), *doubts, *answer.against, *scope.notes)
+    doubts = (*_nothing_tried(found, scope.sites), *doubts, *answer.against)
+    ramps = [effect for effect in kept.added if effect.site.target not in linear]
+    notes = (*failed, *doubts, *scope.notes, *scope.notes_on_inputs(linear))
+    notes = (*notes, *shared_arguments(kept.added), *like_ramps(fitter, ramps))
     return LoopResult(
         verdict=judgement.verdict,
         message="; ".join(filter(None, said)),
@@ -392,8 +409,8 @@ def _notes(
     after: Result,
     noise: FloatArray,
 ) -> tuple[str, ...]:
-    """Return the notes on shared arguments, unexplained residuals and the estimates."""
-    notes = (*shared_arguments(fitted.added), *like_ramps(fitter, fitted.added))
+    """Return the notes on unexplained residuals and the estimates."""
+    notes: tuple[str, ...] = ()
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun)
@@ -482,19 +499,21 @@ def result_so_far(
     found: SelectionResult,
     begin: float,
     scope: LoopScope,
+    linear: Collection[str] = (),
     said: str = "",
 ) -> LoopResult | None:
     """Return a preliminary result with the best structure so far; None if this fails.
 
     Its simulations are neither counted nor logged, so that the rest of the run does not depend on
-    them. `said` is a note on the records that the search uses; "" for none.
+    them. For `linear` see `account`. `said` is a note on the records that the search uses; "" for
+    none.
     """
     try:
         with fitter.runner.uncounted():
             judged = replace(judge(fitter, found), verdict=Verdict.PARTIAL)
             before, after = (_as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
             fits = LastFits(before, after, error_changes(fitter, found, before, after))
-            result = account(fitter, LastAnswer(found, judged, fits), scope)
+            result = account(fitter, LastAnswer(found, judged, fits), scope, linear)
     except ClusterEstError:
         return None
     most = found.settings.max_effects
