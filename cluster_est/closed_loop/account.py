@@ -426,16 +426,23 @@ LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
 """Forms at an input that linear interpolation of jumps can imitate."""
 
 
+def inputs_like_ramps(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
+    """Return the inputs with an effect that linear interpolation of jumps can imitate."""
+    return tuple(
+        c.site.target for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS
+    )
+
+
 def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:
     """Say which effects may come from the linear interpolation of an input that jumps."""
-    found = [c for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS]
+    found = inputs_like_ramps(added)
     jumping = jumping_inputs(fitter.runs, fitter.description.holds) if found else {}
     return tuple(
         f"{c.label} may come in part from the linear interpolation of input {c.site.target}, which "
         "turns jumps into ramps: if the real input keeps each value until the next sample, set "
         'interpolation = "hold" for this input and run again before you rely on this effect'
-        for c in found
-        if c.site.target in jumping
+        for c in added
+        if c.form.name in LIKE_RAMPS and c.site.target in found and c.site.target in jumping
     )
 
 

@@ -15,6 +15,7 @@ from cluster_est.closed_loop.account import (
     LastAnswer,
     account,
     best_on_few_rows,
+    inputs_like_ramps,
     last_answer,
     last_fits_to_all_rows,
     last_models,
@@ -469,7 +470,8 @@ class _ThinnedLoop:
             return tests[1]
         more = len(fits.after.solution.x) - len(fits.before.solution.x)
         as_good = fall_as_good(before, after, whole.records, more)
-        return with_effects_added(*tests, as_good)
+        ramps = inputs_like_ramps(answer.found.current.added)
+        return with_effects_added(*tests, as_good, ramps)
 
     @contextmanager
     def _counted(self, opened: AbstractContextManager[Opened]) -> Iterator[Opened]:

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from cluster_est.closed_loop.account import inputs_like_ramps
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
@@ -206,7 +207,8 @@ def _interpolations_with_effects(
     """Test the interpolations again at a model with effects; see `with_effects_added`."""
     more = model.space.size - base.space.size
     as_good = fall_as_good(base.residuals, model.residuals, fitter.records, more)
-    return with_effects_added(declared, _interpolations(fitter, model, resources), as_good)
+    again = _interpolations(fitter, model, resources)
+    return with_effects_added(declared, again, as_good, inputs_like_ramps(model.added))
 
 
 def grow(

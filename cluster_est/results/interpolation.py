@@ -8,7 +8,7 @@ differ much, the estimates of one do not suit the other; then the parameters are
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -273,13 +273,17 @@ def examine_interpolations(
 
 
 def with_effects_added(
-    declared: InterpolationTest, again: InterpolationTest, as_good: float
+    declared: InterpolationTest,
+    again: InterpolationTest,
+    as_good: float,
+    imitable: Collection[str] = (),
 ) -> InterpolationTest:
     """Return the test of a model to which effects were added.
 
     A preference of the declared model may be a part of what these effects explain, so the test at
-    the model with the effects decides. But if the other interpolation alone is as good as the
-    effects are, it is the simpler explanation, and they may only imitate it.
+    the model with the effects decides. But these effects may also imitate the other interpolation.
+    It remains if it alone is as good as the effects are, because it is the simpler explanation. It
+    also remains if an effect at the same input, such as a delay, makes both interpolations alike.
 
     Parameters
     ----------
@@ -287,9 +291,14 @@ def with_effects_added(
         The tests at the declared model and at the model with the effects.
     as_good
         Relative decrease of the sum of squares that is as good as the effects; see `fall_as_good`.
+    imitable
+        Inputs with an effect that can imitate another interpolation.
     """
     known = declared.preferred
-    if again.preferred is not None or known is None or known.fall < as_good:
+    if again.preferred is not None or known is None:
+        return again
+    alike = known.variable in imitable and known.variable not in again.linear
+    if known.fall < as_good and not alike:
         return again
     return InterpolationTest(known, tuple(n for n in again.linear if n != known.variable))
 

@@ -162,26 +162,35 @@ def preference(fall):
 
 
 @pytest.mark.parametrize(
-    ("declared", "again", "as_good", "left"),
+    ("declared", "again", "as_good", "delayed", "left"),
     [
-        (0.17, None, 0.98, None),  # the effects explain what the hold does, and much more
-        (0.17, 0.2, 0.98, 0.2),
-        (0.65, None, 0.64, 0.65),  # the effects, such as a delay, imitate the hold
-        (None, 0.3, 0.9, 0.3),
-        (None, None, 0.9, None),
+        (0.17, None, 0.98, "", None),  # the effects explain what the hold does, and much more
+        (0.17, 0.2, 0.98, "", 0.2),
+        (0.65, None, 0.64, "", 0.65),  # the effects imitate the hold
+        (0.65, None, 0.98, "F", 0.65),  # one of them does
+        (0.65, None, 0.98, "G", None),
+        (None, 0.3, 0.9, "", 0.3),
+        (None, None, 0.9, "F", None),
     ],
 )
 def test_the_test_at_the_model_with_effects_decides_unless_they_imitate(
-    declared, again, as_good, left
+    declared, again, as_good, delayed, left
 ):
     tests = [
-        InterpolationTest(None if fall is None else preference(fall), ("F", "G"))
+        InterpolationTest(None if fall is None else preference(fall), ("G",))
         for fall in (declared, again)
     ]
-    found = with_effects_added(*tests, as_good)
+    found = with_effects_added(*tests, as_good, [delayed])
     assert (None if found.preferred is None else found.preferred.fall) == left
-    kept = found.preferred is not None and again is None
-    assert found.linear == (("G",) if kept else ("F", "G"))
+    assert found.linear == ("G",)
+
+
+@pytest.mark.parametrize(("as_good", "kept"), [(0.6, True), (0.98, False)])
+def test_straight_lines_that_are_confirmed_with_a_delay_are_right(as_good, kept):
+    """Unless a hold without the delay is as good."""
+    declared, again = InterpolationTest(preference(0.65)), InterpolationTest(None, ("F", "G"))
+    found = with_effects_added(declared, again, as_good, ["F"])
+    assert found == (InterpolationTest(preference(0.65), ("G",)) if kept else again)
 
 
 @pytest.mark.parametrize(("fall", "doubt"), [(0.17, True), (0.4, True), (0.6, False)])
