@@ -55,6 +55,7 @@ from cluster_est.results.interpolation import (
     with_effects_added,
 )
 from cluster_est.results.residual_diagnostics import training_residuals
+from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
@@ -457,21 +458,27 @@ class _ThinnedLoop:
     ) -> InterpolationTest:
         """Test the interpolations at the last fits to all rows."""
         fits, starts = answer.fits, done.starts[answer.number]
-        resources, tests, residuals = self.request.environment.resources, [], []
-        for start, fit in [(starts[0], fits.before), (starts[-1], fits.after)]:
+
+        def tested(start: FitStart, fit: Result, *, refits: bool) -> InterpolationTest:
             space = whole.space(replace(start, problem=fit.problem))
+            resources = self.request.environment.resources
             known = fit.solution, fit.simulations, resources, whole.runner
-            tests.append(examine_interpolations(space, *known, refits=not tests))
-            residuals.append(training_residuals(space, fit.simulations))
-            if not answer.keeps_effects:
-                return tests[0]
-        before, after = residuals
+            return examine_interpolations(space, *known, refits=refits)
+
+        declared = tested(starts[0], fits.before, refits=True)
+        if not answer.keeps_effects:
+            return declared
+        again = tested(starts[-1], fits.after, refits=False)
+        before, after = (
+            training_residuals(whole.space(replace(start, problem=fit.problem)), fit.simulations)
+            for start, fit in ((starts[0], fits.before), (starts[-1], fits.after))
+        )
         if before is None or after is None:
-            return tests[1]
+            return again
         more = len(fits.after.solution.x) - len(fits.before.solution.x)
         as_good = fall_as_good(before, after, whole.records, more)
         ramps = inputs_like_ramps(answer.found.current.added)
-        return with_effects_added(*tests, as_good, ramps)
+        return with_effects_added(declared, again, as_good, ramps)
 
     @contextmanager
     def _counted(self, opened: AbstractContextManager[Opened]) -> Iterator[Opened]:
