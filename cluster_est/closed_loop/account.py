@@ -6,7 +6,7 @@ A preliminary result is also made after each round, in case the search is interr
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -193,6 +193,16 @@ class LastAnswer:
     number: int = 0
     against: tuple[str, ...] = ()
 
+    @property
+    def confirmed(self) -> ReasonedVerdict:
+        """The verdict after the check on held-out data."""
+        return confirmed(self.judged, self.fits.errors, self.found.settings)
+
+    @property
+    def keeps_effects(self) -> bool:
+        """Whether the effects of the answer are reported as found."""
+        return self.confirmed.verdict in CLAIMS
+
 
 def last_answer(
     ends: Sequence[tuple[SelectionResult, ReasonedVerdict]],
@@ -227,12 +237,16 @@ def last_answer(
     return refused[0]
 
 
-def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
-    """Check the answer on the held-out experiments, and return the result with its texts."""
+def account(
+    fitter: Fitter, answer: LastAnswer, scope: LoopScope, linear: Collection[str] = ()
+) -> LoopResult:
+    """Check the answer on the held-out experiments, and return the result with its texts.
+
+    `linear` are the inputs whose linear interpolation the measurements confirm.
+    """
     found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
-    judgement = confirmed(answer.judged, fits.errors, found.settings)
-    keep = judgement.verdict in CLAIMS
+    judgement, keep = answer.confirmed, answer.keeps_effects
     after, kept = (grown, found.current) if keep else (before, found.base)
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
@@ -276,8 +290,17 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     tried = (*_nothing_tried(found, scope.sites), *taken_for_definitions(found.definitions))
-    notes = (*failed, *tried, *doubts, *answer.against, *scope.notes)
-    notes = (*notes, *rounding_notes(fitter, noise))
+    ramps = [effect for effect in kept.added if effect.site.target not in linear]
+    notes = (
+        *failed,
+        *tried,
+        *doubts,
+        *answer.against,
+        *scope.notes,
+        *scope.notes_on_inputs(linear),
+    )
+    notes = (*notes, *rounding_notes(fitter, noise), *shared_arguments(kept.added))
+    notes = (*notes, *like_ramps(fitter, ramps))
     return LoopResult(
         verdict=judgement.verdict,
         message=in_sentences(said),
@@ -410,8 +433,8 @@ def _notes(
     after: Result,
     noise: FloatArray,
 ) -> tuple[str, ...]:
-    """Return the notes on shared arguments, unexplained residuals and the estimates."""
-    notes = (*shared_arguments(fitted.added), *like_ramps(fitter, fitted.added))
+    """Return the notes on unexplained residuals and the estimates."""
+    notes: tuple[str, ...] = ()
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun)
@@ -427,16 +450,23 @@ LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
 """Forms at an input that linear interpolation of jumps can imitate."""
 
 
+def inputs_like_ramps(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
+    """Return the inputs with an effect that linear interpolation of jumps can imitate."""
+    return tuple(
+        c.site.target for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS
+    )
+
+
 def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:
     """Say which effects may come from the linear interpolation of an input that jumps."""
-    found = [c for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS]
+    found = inputs_like_ramps(added)
     jumping = jumping_inputs(fitter.runs, fitter.description.holds) if found else {}
     return tuple(
         f"{c.label} may come in part from the linear interpolation of input {c.site.target}, which "
         "turns jumps into ramps: if the real input keeps each value until the next sample, set "
         'interpolation = "hold" for this input and run again before you rely on this effect'
-        for c in found
-        if c.site.target in jumping
+        for c in added
+        if c.form.name in LIKE_RAMPS and c.site.target in found and c.site.target in jumping
     )
 
 
@@ -500,19 +530,21 @@ def result_so_far(
     found: SelectionResult,
     begin: float,
     scope: LoopScope,
+    linear: Collection[str] = (),
     said: str = "",
 ) -> LoopResult | None:
     """Return a preliminary result with the best structure so far; None if this fails.
 
     Its simulations are neither counted nor logged, so that the rest of the run does not depend on
-    them. `said` is a note on the records that the search uses; "" for none.
+    them. For `linear` see `account`. `said` is a note on the records that the search uses; "" for
+    none.
     """
     try:
         with fitter.runner.uncounted():
             judged = judge(fitter, found).so_far
             before, after = (_as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
             fits = LastFits(before, after, error_changes(fitter, found, before, after))
-            result = account(fitter, LastAnswer(found, judged, fits), scope)
+            result = account(fitter, LastAnswer(found, judged, fits), scope, linear)
     except ClusterEstError:
         return None
     most = found.settings.max_effects

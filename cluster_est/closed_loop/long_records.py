@@ -12,8 +12,10 @@ from typing import TypeVar
 import numpy as np
 
 from cluster_est.closed_loop.account import (
+    LastAnswer,
     account,
     best_on_few_rows,
+    inputs_like_ramps,
     last_answer,
     last_fits_to_all_rows,
     last_models,
@@ -47,10 +49,18 @@ from cluster_est.problem.thinning import (
     looked_at_in_parts,
     thinned,
 )
-from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
+from cluster_est.results.interpolation import (
+    InterpolationTest,
+    PreferredInterpolation,
+    examine_interpolations,
+    with_effects_added,
+)
+from cluster_est.results.residual_diagnostics import training_residuals
+from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
+from cluster_est.statistics.changed_simulation import fall_as_good
 from workers.messages import FloatArray, Outcome, Output
 
 FAINT = 0.3
@@ -279,10 +289,10 @@ def search_and_keep(
     """
     kept = request.environment.monitor.reached
 
-    def keep_so_far(found: SelectionResult) -> None:
+    def keep_so_far(found: SelectionResult, tested: InterpolationTest) -> None:
         if kept is None:
             return
-        result = result_so_far(workbench.fitter, found, begin, workbench.scope, said)
+        result = result_so_far(workbench.fitter, found, begin, workbench.scope, tested.linear, said)
         if result is not None:
             kept(result)
 
@@ -436,21 +446,41 @@ class _ThinnedLoop:
                     return p_without(again.fitter, model, position, degrees)
 
             answer = last_answer(done.searched.ends, last, without)
-            before = answer.fits.before
-            other = preferred_interpolation(
-                whole.space(replace(done.starts[0][0], problem=before.problem)),
-                before.solution,
-                before.simulations,
-                self.request.environment.resources,
-                whole.runner,
-            )
+            tested = self._interpolations(whole, done, answer)
         with reopened(self._left(), searching) as again:
-            result = account(again.fitter, answer, searching.scope)
+            result = account(again.fitter, answer, searching.scope, tested.linear)
             left = last_noise(again.fitter, answer.found, keep=bool(result.effects))
         noise = whole.noise_in_units(left)
         notes = (f"{done.said}; {CONFIRMED_ON_ALL}", *result.notes)
         result = with_all(replace(result, noise=noise, notes=notes), self.spent)
-        return AccountedSearch(result, done.searched, done.errors[answer.number], other)
+        return AccountedSearch(result, done.searched, done.errors[answer.number], tested.preferred)
+
+    def _interpolations(
+        self, whole: Fitter, done: _Search, answer: LastAnswer
+    ) -> InterpolationTest:
+        """Test the interpolations at the last fits to all rows."""
+        fits, starts = answer.fits, done.starts[answer.number]
+
+        def tested(start: FitStart, fit: Result, *, refits: bool) -> InterpolationTest:
+            space = whole.space(replace(start, problem=fit.problem))
+            resources = self.request.environment.resources
+            known = fit.solution, fit.simulations, resources, whole.runner
+            return examine_interpolations(space, *known, refits=refits)
+
+        declared = tested(starts[0], fits.before, refits=True)
+        if not answer.keeps_effects:
+            return declared
+        again = tested(starts[-1], fits.after, refits=False)
+        before, after = (
+            training_residuals(whole.space(replace(start, problem=fit.problem)), fit.simulations)
+            for start, fit in ((starts[0], fits.before), (starts[-1], fits.after))
+        )
+        if before is None or after is None:
+            return again
+        more = len(fits.after.solution.x) - len(fits.before.solution.x)
+        as_good = fall_as_good(before, after, whole.records, more)
+        ramps = inputs_like_ramps(answer.found.current.added)
+        return with_effects_added(declared, again, as_good, ramps)
 
     @contextmanager
     def _counted(self, opened: AbstractContextManager[Opened]) -> Iterator[Opened]:

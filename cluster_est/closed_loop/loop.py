@@ -21,6 +21,7 @@ from typing_extensions import override
 
 from cluster_est.closed_loop.account import account, last_answer, last_fits
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
+from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.long_records import (
     AccountedSearch,
@@ -164,7 +165,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
         failures_in_search=failures,
         left_out=left_out,
     )
-    return _with_data_findings(_with_interpolation(result, found.interpolation), said)
+    return _with_data_findings(with_interpolation(result, found.interpolation), said)
 
 
 def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
@@ -174,9 +175,12 @@ def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
         fitter.enter("before and after")
         last = [partial(last_fits, fitter, found, begin) for found, _ in searched.ends]
         answer = last_answer(searched.ends, last, partial(p_without, fitter))
-        result = account(fitter, answer, workbench.scope)
+        tested = searched.interpolations
+        if answer.keeps_effects:
+            tested = searched.interpolations_with(answer.found.current)
+        result = account(fitter, answer, workbench.scope, tested.linear)
         error = searched.error_at(answer.found.current) if result.effects else searched.error
-    return AccountedSearch(result, searched, error, searched.interpolation)
+    return AccountedSearch(result, searched, error, tested.preferred)
 
 
 def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> LoopResult:
@@ -189,12 +193,16 @@ def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> 
     return replace(result, message=message)
 
 
-def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
+def with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
     """Name an input with a probably wrong interpolation.
 
-    The search may find the error of a wrong interpolation as a lag or a delay.
+    The search may find the error of a wrong interpolation as a lag or a delay. On the other hand,
+    if the model lacks something, another interpolation may imitate a part of it. So if it removes
+    only a small part of the error, it is a note, but not the first thing to do.
     """
     if other is None:
         return result
+    if not other.explains_most and result.verdict is not Verdict.FOUND:
+        return replace(result, notes=(other.sentence, *result.notes))
     message = f"{result.message}; but the model fits better with {other.key}: set it first"
     return replace(result, message=message, notes=(other.sentence, *result.notes))

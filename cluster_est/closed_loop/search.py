@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from cluster_est.closed_loop.account import inputs_like_ramps
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
@@ -55,13 +56,15 @@ from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.results.interpolation import (
     AtFit,
     FittedExperiments,
-    PreferredInterpolation,
+    InterpolationTest,
     compare_interpolations,
+    with_effects_added,
 )
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.find import record_faults
 from cluster_est.results.record_faults.fitted_records import FittedRecords
 from cluster_est.running.resources import Resources
+from cluster_est.statistics.changed_simulation import fall_as_good
 from workers.messages import FloatArray
 
 
@@ -80,16 +83,18 @@ class SearchedModel:
         A function that returns the numerical error with another model.
     failures
         Number of simulations that failed while effects were tried.
-    interpolation
-        An input that fits the measurements better with another interpolation; None if there is
-        none.
+    interpolations
+        The test of the inputs' interpolations at the declared model.
+    interpolations_with
+        A function that returns this test at a model with effects.
     """
 
     ends: list[tuple[SelectionResult, ReasonedVerdict]] = field(repr=False)
     error: NumericalError = field(repr=False)
     error_at: Callable[[FittedModel], NumericalError] = field(repr=False)
     failures: int
-    interpolation: PreferredInterpolation | None
+    interpolations: InterpolationTest
+    interpolations_with: Callable[[FittedModel], InterpolationTest] = field(repr=False)
 
     @property
     def found(self) -> SelectionResult:
@@ -100,7 +105,7 @@ def search_for_effects(
     workbench: LoopWorkbench,
     start: FitStart,
     resources: Resources,
-    reached: Callable[[SelectionResult], None] = lambda _: None,
+    reached: Callable[[SelectionResult, InterpolationTest], None] = lambda *_: None,
     *,
     thinned: bool = False,
 ) -> SearchedModel:
@@ -111,7 +116,8 @@ def search_for_effects(
     resources
         Resources for the simulations with a finer solver setting.
     reached
-        Called after each round that added an effect, with the result so far.
+        Called after each round that added an effect, with the result so far and the test of the
+        inputs' interpolations at the declared model.
     thinned
         Whether the records are thinned, so that the samples of the inputs are not the measured
         ones.
@@ -122,7 +128,9 @@ def search_for_effects(
     noise = expected_noise(fitter, base.residuals)
     fitter.enter("the error of the solver")
     error = measure_numerical_error(fitter, base, noise, resources)
-    other = None if thinned else _other_interpolation(fitter, base, resources)
+    tested = InterpolationTest()
+    if not thinned:
+        tested = _interpolations(fitter, base, resources)
     with_effects = partial(
         error_with_effects, fitter, declared=error, noise=noise, resources=resources
     )
@@ -134,12 +142,20 @@ def search_for_effects(
         found = without_search(fitter, settings, base)
         ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, said or error.refusal))]
     else:
-        grown = grow(fitter, settings, base, lambda fit: with_effects(fit).explainable, reached)
+        grown = grow(
+            fitter,
+            settings,
+            base,
+            lambda fit: with_effects(fit).explainable,
+            lambda found: reached(found, tested),
+        )
         ends = [_judged(fitter, found) for found in answers(fitter, grown)]
         found, judged = ends[0]
         if said and judged.verdict is Verdict.UNEXPLAINED:
             ends[0] = found, replace(judged, reason=f"{said}; {judged.reason}")
-    return SearchedModel(ends, error, with_effects, fitter.runner.failures - before, other)
+    failures = fitter.runner.failures - before
+    again = partial(_interpolations_with_effects, fitter, base, tested, resources)
+    return SearchedModel(ends, error, with_effects, failures, tested, again)
 
 
 def _record_faults(
@@ -164,23 +180,36 @@ def _record_faults(
     )  # fmt: skip
 
 
-def _other_interpolation(
-    fitter: Fitter, base: FittedModel, resources: Resources
-) -> PreferredInterpolation | None:
-    """Return the input that fits better with another interpolation, if there is one.
+def _interpolations(fitter: Fitter, model: FittedModel, resources: Resources) -> InterpolationTest:
+    """Test which interpolations of the inputs the measurements prefer.
 
-    The error of a wrong interpolation looks like a delay or a lag.
+    The error of a wrong interpolation looks like a delay or a lag. So the declared model may also
+    be fitted again with another interpolation.
     """
     if fitter.predicts:
-        return None
+        return InterpolationTest()
     fitter.enter("the interpolation of the inputs")
 
     def counted(simulations: int) -> None:
         fitter.meter.full += simulations
 
-    at = AtFit.of(base.space, base.x, resources, fitter.runner, counted)
-    fitted = FittedExperiments(base.problem, fitter.train, base.residuals, base.jacobian)
-    return compare_interpolations(fitted, at)
+    at = AtFit.of(model.space, model.x, resources, fitter.runner, counted)
+    fitted = FittedExperiments(model.problem, fitter.train, model.residuals, model.jacobian)
+    return compare_interpolations(fitted, at, refits=not model.added)
+
+
+def _interpolations_with_effects(
+    fitter: Fitter,
+    base: FittedModel,
+    declared: InterpolationTest,
+    resources: Resources,
+    model: FittedModel,
+) -> InterpolationTest:
+    """Test the interpolations again at a model with effects; see `with_effects_added`."""
+    more = model.space.size - base.space.size
+    as_good = fall_as_good(base.residuals, model.residuals, fitter.records, more)
+    again = _interpolations(fitter, model, resources)
+    return with_effects_added(declared, again, as_good, inputs_like_ramps(model.added))
 
 
 def grow(

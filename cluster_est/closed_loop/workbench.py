@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -44,10 +44,18 @@ from workers.messages.checks import check_kind, check_number
 
 @dataclass(frozen=True)
 class LoopScope:
-    """The sites that the FMU offers, and notes that each report shows."""
+    """The sites that the FMU offers, and notes that each report shows.
+
+    `inputs` contains inputs that may need a hold, each with a note.
+    """
 
     sites: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    inputs: tuple[tuple[str, str], ...] = ()
+
+    def notes_on_inputs(self, settled: Collection[str]) -> tuple[str, ...]:
+        """Return the notes on inputs, except those whose interpolation is known to be right."""
+        return tuple(said for name, said in self.inputs if name not in settled)
 
 
 @dataclass(frozen=True)
@@ -141,7 +149,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
         notes = (*_notes(problem, description), *weights)
         if not fitter.sigma_declared:
             notes += _short_notes(fitter)
-        scope = LoopScope(_sites(problem, description), notes)
+        scope = LoopScope(_sites(problem, description), notes, problem.input_notes())
         yield LoopWorkbench(fitter, request.settings, scope)
 
 
@@ -326,7 +334,7 @@ def _short_notes(fitter: Fitter) -> tuple[str, ...]:
 
 
 def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
-    notes = [*silent_notes(problem, description), *problem.notes()]
+    notes = [*silent_notes(problem, description), *problem.model_notes(), *problem.data_notes()]
     closed = _closed_parameters(problem, description)
     if closed:
         named = f"parameter{'s' if len(closed) > 1 else ''} {' and '.join(closed)}"

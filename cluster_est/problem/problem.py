@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ from cluster_est.problem.given_cost import as_cost
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.sigmas import mixed_sigmas
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
-from cluster_est.problem.tables.jumps import jump_findings
+from cluster_est.problem.tables.jumps import jump_findings, jumping_inputs
 from cluster_est.problem.tables.sources import TableSource
 from cluster_est.problem.tables.sparse_inputs import sparse_inputs
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
@@ -197,14 +197,21 @@ class Problem:
             check_experiment(experiment, description, self.model, self.parameters)
         return description
 
-    def notes(self) -> tuple[str, ...]:
+    def notes(self, settled: Collection[str] = ()) -> tuple[str, ...]:
         """Return notes for the user on the simulation of the FMU, and on the data.
+
+        `settled` are the inputs whose interpolation is known to be right.
 
         Raises
         ------
         ModelError, ProblemError
             As `describe`, or if the FMU cannot be simulated at the experiments' times.
         """
+        inputs = [said for name, said in self.input_notes() if name not in settled]
+        return (*self.model_notes(), *self.data_notes(), *inputs)
+
+    def input_notes(self) -> tuple[tuple[str, str], ...]:
+        """Return inputs that may need a hold, each with a note; raises as `notes`."""
 
         def holds(name: str) -> bool:
             return self.describe().holds(name)
@@ -212,10 +219,12 @@ class Problem:
         def unit_of(name: str) -> str:
             return self.describe().unit_of(name)
 
-        found = [*jump_findings(self.experiments, holds, self.columns, unit_of)]
+        jumping = jumping_inputs(self.experiments, holds)
+        found = jump_findings(self.experiments, holds, self.columns, unit_of)
+        named = [*zip(jumping, found, strict=True)]
         sparse = sparse_inputs(self.experiments, holds)
-        found += [each.finding(self.columns) for each in sparse if each.at_changes]
-        return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in found))
+        named += [(s.variable, s.finding(self.columns)) for s in sparse if s.at_changes]
+        return tuple((name, ": ".join(words)) for name, words in named)
 
     def model_notes(self) -> tuple[str, ...]:
         """Return only the notes on the simulation of the FMU; raises as `notes`."""

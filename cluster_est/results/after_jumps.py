@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,8 +37,9 @@ def after_jump_sentences(
     simulations: Sequence[Simulation],
     diagnostics: ResidualDiagnostics,
     told: str = "",
+    linear: Collection[str] = (),
 ) -> tuple[str, ...]:
-    """Return sentences on large residuals after jumps that interpolation turned into ramps.
+    """Return sentences on large residuals after jumps of inputs with linear interpolation.
 
     Parameters
     ----------
@@ -48,6 +49,9 @@ def after_jump_sentences(
         Findings on the residuals. Without findings, no sentence is returned.
     told
         An input that other sentences describe; it is left out here.
+    linear
+        Inputs whose linear interpolation the measurements confirm. The interpolation is then not
+        the cause of the residuals.
     """
     if not diagnostics.findings:
         return ()
@@ -70,17 +74,20 @@ def after_jump_sentences(
             default=None,
         )
         if worst is not None:
-            found.append(_sentence(problem, name, *worst))
+            said, remedy = _sentences(problem, name, *worst)
+            found.append(said if name in linear else f"{said}. {remedy}")
     return tuple(found)
 
 
-def _sentence(problem: Problem, name: str, place: _Place, output: str) -> str:
+def _sentences(problem: Problem, name: str, place: _Place, output: str) -> tuple[str, str]:
+    """Return where the residual is large, and what to do if the interpolation is the cause."""
     return (
         f"the error of {output} is largest just after jumps of input {name}: it is "
         f"{place.size:.2g} times the error elsewhere at {place.time:.6g} s in experiment "
-        f"{place.experiment!r}, after the jump at {place.jump:.6g} s. Linear interpolation turns "
-        "this jump into a ramp; if the input keeps each value until the next sample, set "
-        f"{interpolated(name, problem.columns, 'hold')}"
+        f"{place.experiment!r}, after the jump at {place.jump:.6g} s",
+        "Linear interpolation turns this jump into a ramp; if the input keeps each value until "
+        "the next sample, set "
+        f"{interpolated(name, problem.columns, 'hold')}",
     )
 
 

@@ -117,7 +117,7 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     """Return notes on the data, the simulations, the residuals and the uncertainty."""
     problem = result.problem
     notes = [*(each.sentence for each in result.record_faults)]
-    notes += [*result.failed_steps, *problem.notes()]
+    notes += [*result.failed_steps, *problem.notes(result.linear_inputs)]
     notes += silent_notes(problem, problem.describe())
     notes += process_noise_notes(problem)
     values = {each.label: each.value for each in result.estimates}
@@ -170,7 +170,9 @@ def interpolation_sentences(result: Result) -> tuple[str, ...]:
         return said
     return (
         *said,
-        *after_jump_sentences(result.problem, result.simulations, result.diagnostics, told),
+        *after_jump_sentences(
+            result.problem, result.simulations, result.diagnostics, told, result.linear_inputs
+        ),
     )
 
 

@@ -8,7 +8,7 @@ differ much, the estimates of one do not suit the other; then the parameters are
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -44,7 +44,8 @@ MOST_EVALUATIONS = 1000
 """Largest number of evaluations of the fits with another interpolation of an input."""
 LEAST_FALL_OF_REFIT = 0.5
 """Least relative decrease of the sum of squares by a refit; with other estimates, the other
-interpolation may compensate a part of another error."""
+interpolation may compensate a part of another error. After a smaller decrease without a refit, the
+larger part of the error has another cause, and a preference may be a part of its effect."""
 LEAST_FALL_OF_SLOW = 0.65
 """Least decrease for an input with few samples but without jumps. A missing delay of about one of
 its sampling intervals looks like a hold, but leaves a larger error."""
@@ -182,6 +183,11 @@ class PreferredInterpolation:
     slow: bool = False
 
     @property
+    def explains_most(self) -> bool:
+        """Whether the other interpolation removes most of the error; see `LEAST_FALL_OF_REFIT`."""
+        return self.fall >= LEAST_FALL_OF_REFIT
+
+    @property
     def sentence(self) -> str:
         """The result of the test, and the key to set."""
         held = self.preferred == "hold"
@@ -193,6 +199,8 @@ class PreferredInterpolation:
             if self.slow
             else ""
         )
+        if not self.explains_most:
+            doubt = "; an effect that the model lacks, such as a play or a delay, may look alike"
         fall = "more than 99" if self.fall > 0.99 else f"{100.0 * self.fall:.2g}"
         return (
             f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
@@ -202,19 +210,37 @@ class PreferredInterpolation:
         )
 
 
+@dataclass(frozen=True)
+class InterpolationTest:
+    """The result of the test of all inputs.
+
+    Attributes
+    ----------
+    preferred
+        The input with the clearest preference for the other interpolation; None if there is none.
+    linear
+        The inputs whose linear interpolation the measurements confirm: they reject a hold.
+    """
+
+    preferred: PreferredInterpolation | None = None
+    linear: tuple[str, ...] = ()
+
+
 def interpolation_facts(found: PreferredInterpolation | None) -> dict[str, Any] | None:
     """Return the entry of run.json; None if nothing was found."""
     return None if found is None else dataclasses.asdict(found)
 
 
-def preferred_interpolation(
+def examine_interpolations(
     space: SearchSpace,
     solution: Solution,
     simulations: Sequence[Simulation],
     resources: Resources,
     runner: Runner,
-) -> PreferredInterpolation | None:
-    """Find an input for which the measurements prefer the other interpolation.
+    *,
+    refits: bool = True,
+) -> InterpolationTest:
+    """Find the interpolations that the measurements prefer, and those that they confirm.
 
     Parameters
     ----------
@@ -224,50 +250,93 @@ def preferred_interpolation(
         Simulations of all experiments at the estimates, with trajectories.
     resources, runner
         See `simulate_with_solver`.
+    refits
+        See `compare_interpolations`.
 
     Returns
     -------
-    PreferredInterpolation or None
-        None if no input can be tested, or if the measurements prefer the fitted interpolation.
+    InterpolationTest
+        Without any input if none can be tested.
     """
     problem = space.problem
     if noise_names(problem):  # a Kalman filter follows the data with any interpolation
-        return None
+        return InterpolationTest()
     residuals = training_residuals(space, simulations)
     if residuals is None:
-        return None
+        return InterpolationTest()
     jacobian = free_jacobian(space, solution, len(residuals), MOST_ENTRIES)
     if jacobian is None:
-        return None
+        return InterpolationTest()
     fitted = FittedExperiments(problem, space.experiments, residuals, jacobian)
-    return compare_interpolations(fitted, AtFit.of(space, solution.x, resources, runner))
+    at = AtFit.of(space, solution.x, resources, runner)
+    return compare_interpolations(fitted, at, refits=refits)
 
 
-def compare_interpolations(fitted: FittedExperiments, at: AtFit) -> PreferredInterpolation | None:
+def with_effects_added(
+    declared: InterpolationTest,
+    again: InterpolationTest,
+    as_good: float,
+    imitable: Collection[str] = (),
+) -> InterpolationTest:
+    """Return the test of a model to which effects were added.
+
+    A preference of the declared model may be a part of what these effects explain, so the test at
+    the model with the effects decides. But these effects may also imitate the other interpolation.
+    It remains if it alone is as good as the effects are, because it is the simpler explanation. It
+    also remains if an effect at the same input, such as a delay, makes both interpolations alike.
+
+    Parameters
+    ----------
+    declared, again
+        The tests at the declared model and at the model with the effects.
+    as_good
+        Relative decrease of the sum of squares that is as good as the effects; see `fall_as_good`.
+    imitable
+        Inputs with an effect that can imitate another interpolation.
+    """
+    known = declared.preferred
+    if again.preferred is not None or known is None:
+        return again
+    alike = known.variable in imitable and known.variable not in again.linear
+    if known.fall < as_good and not alike:
+        return again
+    return InterpolationTest(known, tuple(n for n in again.linear if n != known.variable))
+
+
+def compare_interpolations(
+    fitted: FittedExperiments, at: AtFit, *, refits: bool = True
+) -> InterpolationTest:
     """Simulate experiments with the other interpolation of some inputs.
 
     These inputs have jumps, a hold, or much fewer samples than other signals. For each input, only
     the records are simulated in which the two interpolations differ most, and all inputs share
-    `MOST_SIMULATIONS`. `compare_simulations` decides. If several inputs are found, only the one
-    with the clearest result is returned, because the others may only resemble it.
+    `MOST_SIMULATIONS`. `compare_simulations` decides. If another interpolation is preferred for
+    several inputs, only the one with the clearest result is returned, because the others may only
+    resemble it. `refits` says whether the parameters may be fitted again.
     """
     problem = fitted.problem
     changes = _changes(problem, problem.describe(), fitted.experiments)
     if not changes:
-        return None
+        return InterpolationTest()
     runs = tuple(run for change in changes for run in _changed_runs(fitted, change))
     try:
         outcomes = iter(at.simulate(runs, [p for change in changes for p in change.positions]))
         found: list[tuple[float, PreferredInterpolation]] = []
+        linear: list[str] = []
         for change in changes:
             own = [next(outcomes) for _ in change.positions]
-            compared = _refitted(fitted, change, _compared(fitted, change, own), at)
+            compared = _compared(fitted, change, own)
+            if refits:
+                compared = _refitted(fitted, change, compared, at)
             if compared is not None and change.shown(compared):
                 strength = compared.share / compared.error if compared.error else np.inf
                 found.append((strength, _preferred(fitted, change, compared)))
+            elif compared is not None and compared.refuted and change.now == "linear":
+                linear.append(change.variable)
     except ClusterEstError:  # then only this hint is missing
-        return None
-    return max(found, key=lambda each: each[0])[1] if found else None
+        return InterpolationTest()
+    best = max(found, key=lambda each: each[0])[1] if found else None
+    return InterpolationTest(best, tuple(linear))
 
 
 def _refitted(

@@ -111,6 +111,8 @@ class Result(ResultView):
     interpolation
         An input for which the measurements prefer another interpolation; None if there is none, or
         if the data cannot show it.
+    linear_inputs
+        The inputs whose linear interpolation the measurements confirm.
     record_faults
         Faults of a record that one change corrects; empty if none was found.
     shapes
@@ -152,6 +154,7 @@ class Result(ResultView):
     diagnostics: ResidualDiagnostics | None = None
     solver_error: SolverError | None = None
     interpolation: PreferredInterpolation | None = None
+    linear_inputs: tuple[str, ...] = ()
     record_faults: tuple[RecordFault, ...] = ()
     shapes: tuple[EffectCurve, ...] = ()
     shooting: ShootingSummary | None = None

@@ -77,6 +77,12 @@ class ChangedSimulation:
             and self.fall > LEAST_FALL
         )
 
+    @property
+    def refuted(self) -> bool:
+        """Whether the changed simulation is rejected, and the fitted one is better."""
+        rejected = 1.0 - self.share > REJECTED * self.error
+        return rejected and 0.5 - self.share > BETTER * self.error
+
 
 def compare_simulations(
     residuals: FloatArray, changed: FloatArray, jacobian: FloatArray, records: StackedRecords
@@ -127,6 +133,29 @@ def compare_simulations(
         after=float(np.add.reduce(after**2)),
         gain=left**2 - after**2,
     )
+
+
+def fall_as_good(
+    before: FloatArray, after: FloatArray, records: StackedRecords, unknowns: int
+) -> float:
+    """Return the fall with which a model of the same unknowns is as good as a larger model.
+
+    The measure is the Bayesian information criterion, with the weights of `compare_simulations`.
+
+    Parameters
+    ----------
+    before, after : (n,)
+        Residuals of the smaller and of the larger model.
+    records
+        Records of the residuals.
+    unknowns
+        Number of additional unknowns of the larger model.
+    """
+    weights, count = _weights(before, records), len(before)
+    squares = [float(np.add.reduce((weights * each) ** 2)) for each in (before, after)]
+    if not squares[0] > 0.0:
+        return 0.0
+    return 1.0 - squares[1] / squares[0] * float(count ** (unknowns / count))
 
 
 def _weights(residuals: FloatArray, records: StackedRecords) -> FloatArray:

@@ -20,7 +20,7 @@ from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results import fit_tables as rows
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
-from cluster_est.results.interpolation import preferred_interpolation
+from cluster_est.results.interpolation import InterpolationTest, examine_interpolations
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.record_faults.find import faults_of_fit
 from cluster_est.results.residual_diagnostics import diagnose_residuals
@@ -247,16 +247,21 @@ class Fit(Study[Result]):
                 lambda: measure_solver_error(train, solution, after, environment.resources, runner),
                 None,
             )
-            other = None
+            tested = InterpolationTest()
             if left is not None:
-                other = steps.do(
+                tested = steps.do(
                     "the other interpolation of inputs",
-                    lambda: preferred_interpolation(
+                    lambda: examine_interpolations(
                         train, linear, after, environment.resources, runner
                     ),
-                    None,
+                    tested,
                 )
-            result = replace(result, solver_error=error, interpolation=other)
+            result = replace(
+                result,
+                solver_error=error,
+                interpolation=tested.preferred,
+                linear_inputs=tested.linear,
+            )
         return replace(result, failed_steps=tuple(steps.failed))
 
     def _refined(

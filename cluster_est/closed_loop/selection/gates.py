@@ -1,4 +1,4 @@
-"""The gates that a larger structure must pass to take the place of the accepted one.
+"""The gates that a structure must pass to take the place of the accepted one.
 
 Each gate has a name, a threshold, and the origin of this threshold. A setting can leave out a gate
 by its name. The origin "theory" names a result of theory. "signal" is a property of measured data
@@ -25,7 +25,11 @@ from cluster_est.closed_loop.selection.acceptance import (
     is_usable,
     predict,
 )
-from cluster_est.closed_loop.selection.refits import RefittedCandidate, most_parsimonious
+from cluster_est.closed_loop.selection.refits import (
+    RefittedCandidate,
+    full_refit,
+    most_parsimonious,
+)
 from cluster_est.closed_loop.selection.rounds import (
     VERDICT,
     RejectionReason,
@@ -34,7 +38,7 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
     leaves_more_than_noise,
 )
-from cluster_est.closed_loop.settings import LoopPart
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression
 from workers.messages import FloatArray
@@ -83,7 +87,8 @@ class Attempt:
     Attributes
     ----------
     begun
-        The structure with which the round began.
+        The structure with which the proposal is compared: the accepted one with which the round
+        began, or the one that the proposal extends; see `extended_start`.
     chosen, after
         The proposal, and its leave-one-out prediction.
     gain
@@ -274,6 +279,9 @@ def first_refusal(fitter: Fitter, attempt: Attempt) -> Gate | None:
 def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandidate]) -> RoundEnd:
     """Return the best proposal that stays bounded and passes the gates.
 
+    A proposal that lacks an accepted effect must pass the gates twice: compared with the accepted
+    structure, which it replaces, and with the structure that it extends.
+
     The best fit may predict badly, for example with a flexible law. So if it is refused by a gate
     in `OF_ONE_STRUCTURE`, a few of the next best proposals are tested.
 
@@ -305,21 +313,57 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
             stopped[chosen.fitted.structure] = LoopPart.BOUNDED
             left = rest
             continue
-        after = predict(fitter, chosen.fitted)
-        gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
-        coloured = coloured_noise_explains(fitter.records, begun, chosen)
-        failed = first_refusal(fitter, Attempt(begun, chosen, after, gain, closed, coloured))
-        seen = SelectionRound(
-            begun.screening, tuple(left), failed.reason if failed else None, gain, closed, coloured
-        )
+        attempt, failed = _through_gates(fitter, begun, chosen)
+        gains = attempt.gain, attempt.closed, attempt.coloured
+        why_not = failed.reason if failed else None
+        seen = SelectionRound(begun.screening, tuple(left), why_not, *gains)
         if failed is None:
-            return RoundEnd(seen, chosen, after, stopped=stopped)
+            return RoundEnd(seen, chosen, attempt.after, stopped=stopped)
         stopped[chosen.fitted.structure] = failed.part
         refused, left = refused or seen, rest
         tries = tries - 1 if failed.part in OF_ONE_STRUCTURE else 0
     if refused is not None and refused.coloured:
         refused = replace(refused, coloured=not beyond_coloured_noise(fitter, begun, ranked))
     return RoundEnd(refused or SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
+
+
+def _through_gates(
+    fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate
+) -> tuple[Attempt, Gate | None]:
+    """Return the last comparison of a proposal, and the gate that it does not pass, if any."""
+    after = predict(fitter, chosen.fitted)
+    attempt = _attempted(fitter, begun, chosen, after)
+    failed = first_refusal(fitter, attempt)
+    if failed is None and not begun.model.structure <= chosen.fitted.structure:
+        attempt = _attempted(fitter, extended_start(fitter, begun, chosen), chosen, after)
+        failed = first_refusal(fitter, attempt)
+    return attempt, failed
+
+
+def _attempted(
+    fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate, after: LeaveOneOutPrediction
+) -> Attempt:
+    gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
+    coloured = coloured_noise_explains(fitter.records, begun, chosen)
+    return Attempt(begun, chosen, after, gain, closed, coloured)
+
+
+def extended_start(fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate) -> RoundStart:
+    """Return the start of a round at the structure that a proposal extends.
+
+    A proposal that lacks an accepted effect extends only the declared model with the accepted
+    effects that it keeps. Without this comparison, a set that a gate refused at the declared model
+    could pass in a later round, after a worse effect was accepted.
+    """
+    kept, start = chosen.fitted.structure, begun.model.start
+    for position in reversed(range(len(begun.model.added))):
+        if begun.model.added[position].effect.name not in kept:
+            start = start.minus(position)
+    rest: FittedModel | None = None
+    if start.added:
+        (rest,) = fitter.fit(LoopStage.REFITS, [start], full_refit(fitter))
+    model = rest or begun.base
+    return replace(begun, model=model, prediction=predict(fitter, model))
 
 
 def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: FittedModel) -> bool:

@@ -8,8 +8,15 @@ from scipy.signal import StateSpace, lsim
 from support.problems.springs import FMU, TRUE
 
 import cluster_est as ce
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.loop import with_interpolation
 from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.results.facts import interpolation_sentences
+from cluster_est.results.interpolation import (
+    InterpolationTest,
+    PreferredInterpolation,
+    with_effects_added,
+)
 
 TIMES = 0.02 * np.arange(300)
 ONE = ce.Resources(workers=1)
@@ -139,11 +146,77 @@ def test_what_was_fitted_is_right_and_nothing_is_said():
         assert found.interpolation is None
         assert not interpolation_sentences(found)
         assert found.facts()["interpolation"] is None
+        assert found.linear_inputs == (("F",) if how == "linear" else ())
+        assert not any("into a ramp" in note for note in found.notes)
 
 
 def test_it_is_silent_where_noise_hides_it():
     found = ce.fit(spring("a sine with steps", "hold", "linear", noise=2.0), resources=ONE)
     assert found.interpolation is None
+    assert found.linear_inputs == ()
+    assert any("into a ramp" in note for note in found.notes)  # it may still be so
+
+
+def preference(fall):
+    return PreferredInterpolation("F", "hold", KEY % "hold", 1.0, 0.1, fall, 2, "run 0", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("declared", "again", "as_good", "delayed", "left"),
+    [
+        (0.17, None, 0.98, "", None),  # the effects explain what the hold does, and much more
+        (0.17, 0.2, 0.98, "", 0.2),
+        (0.65, None, 0.64, "", 0.65),  # the effects imitate the hold
+        (0.65, None, 0.98, "F", 0.65),  # one of them does
+        (0.65, None, 0.98, "G", None),
+        (None, 0.3, 0.9, "", 0.3),
+        (None, None, 0.9, "F", None),
+    ],
+)
+def test_the_test_at_the_model_with_effects_decides_unless_they_imitate(
+    declared, again, as_good, delayed, left
+):
+    tests = [
+        InterpolationTest(None if fall is None else preference(fall), ("G",))
+        for fall in (declared, again)
+    ]
+    found = with_effects_added(*tests, as_good, [delayed])
+    assert (None if found.preferred is None else found.preferred.fall) == left
+    assert found.linear == ("G",)
+
+
+@pytest.mark.parametrize(("as_good", "kept"), [(0.6, True), (0.98, False)])
+def test_straight_lines_that_are_confirmed_with_a_delay_are_right(as_good, kept):
+    """Unless a hold without the delay is as good."""
+    declared, again = InterpolationTest(preference(0.65)), InterpolationTest(None, ("F", "G"))
+    found = with_effects_added(declared, again, as_good, ["F"])
+    assert found == (InterpolationTest(preference(0.65), ("G",)) if kept else again)
+
+
+@pytest.mark.parametrize(("fall", "doubt"), [(0.17, True), (0.4, True), (0.6, False)])
+def test_what_removes_a_small_part_of_the_error_may_imitate_an_effect(fall, doubt):
+    assert ("an effect that the model lacks" in preference(fall).sentence) is doubt
+
+
+@pytest.mark.parametrize(
+    ("fall", "verdict", "first"),
+    [
+        (0.17, Verdict.PARTIAL, False),
+        (0.17, Verdict.UNEXPLAINED, False),
+        (0.17, Verdict.NONE, False),
+        (0.17, Verdict.FOUND, True),
+        (0.6, Verdict.UNEXPLAINED, True),
+    ],
+)
+def test_an_interpolation_is_the_first_thing_to_set_only_if_little_else_is_missing(
+    fall, verdict, first
+):
+    nothing = ce.LoopResult(
+        verdict, "said", (), *2 * [None], *3 * [()], {}, (), (), 0, 0, 0, 0, 0.0
+    )
+    found = with_interpolation(nothing, preference(fall))
+    assert ("set it first" in found.message) is first
+    assert found.notes == (preference(fall).sentence,)
 
 
 def test_a_poor_fit_names_the_record_and_the_time_of_a_jump():
@@ -190,3 +263,9 @@ def test_a_closed_loop_says_it_first(rows):
     assert found.notes[0] == said
     assert found.message.endswith(f"but the model fits better with {KEY % 'hold'}: set it first")
     assert KEY % "hold" in said
+
+
+def test_a_closed_loop_gives_no_advice_where_straight_lines_are_right():
+    found = ce.close_loop(spring("a sine with steps", "linear", "linear"), ONE)
+    assert found.verdict is Verdict.NONE
+    assert not any("hold" in note for note in found.notes)

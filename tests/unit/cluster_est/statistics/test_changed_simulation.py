@@ -7,7 +7,11 @@ import pytest
 from scipy.signal import lfilter, lsim
 
 import cluster_est as ce
-from cluster_est.statistics.changed_simulation import ChangedSimulation, compare_simulations
+from cluster_est.statistics.changed_simulation import (
+    ChangedSimulation,
+    compare_simulations,
+    fall_as_good,
+)
 from cluster_est.statistics.records import make_records
 
 H = 0.05
@@ -64,6 +68,34 @@ def test_the_share_is_that_of_ordinary_least_squares(truth_held):
     assert found.share == pytest.approx(float(truth_held), abs=4.0 * error)
     assert error * 0.999 <= found.error < 2.0 * error
     assert found.preferred is truth_held
+    assert found.refuted is not truth_held
+
+
+@pytest.mark.parametrize(
+    ("share", "error", "refuted"),
+    [
+        (0.0, 0.2, True),
+        (0.0, 0.3, False),
+        (0.4, 0.01, True),
+        (0.49, 0.01, False),
+        (1.0, 0.01, False),
+    ],
+)
+def test_a_change_is_refuted_only_by_clear_measurements(share, error, refuted):
+    assert ChangedSimulation(share, error, 1.0, 1.0, np.zeros(1)).refuted is refuted
+
+
+def test_a_fall_is_as_good_as_more_unknowns_by_the_bayesian_criterion():
+    """The criterion of each model is n log(RSS / n) + k log(n); outputs have equal weights."""
+    generator = np.random.default_rng(8)
+    large, small = generator.standard_normal((2, N)) * [[1.0], [0.3]]
+    times = ce.Output("y", TIMES, TIMES), ce.Output("z", TIMES, TIMES)
+    records = make_records([ce.Experiment("e", 0.0, float(TIMES[-1]), (), times)])
+    before, after = np.concatenate([large, 1e3 * large]), np.concatenate([small, 1e3 * small])
+    fall = fall_as_good(before, after, records, 3)
+    n, ratio = 2 * N, float(np.sum(small**2) / np.sum(large**2))
+    assert n * np.log(1.0 - fall) == pytest.approx(n * np.log(ratio) + 3.0 * np.log(n))
+    assert fall_as_good(before, before, records, 0) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_squares_are_those_after_a_fit_of_either():
