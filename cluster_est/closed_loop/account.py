@@ -23,9 +23,11 @@ from cluster_est.closed_loop.findings.competing_models import (
     with_probabilities,
 )
 from cluster_est.closed_loop.findings.description import (
+    LIKE_RAMPS,
     describe_effects,
     describe_untested,
     error_changes,
+    inputs_like_ramps,
     shared_arguments,
     taken_for_definitions,
     where_left,
@@ -444,17 +446,6 @@ def _notes(
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))
-
-
-LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
-"""Forms at an input that linear interpolation of jumps can imitate."""
-
-
-def inputs_like_ramps(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
-    """Return the inputs with an effect that linear interpolation of jumps can imitate."""
-    return tuple(
-        c.site.target for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS
-    )
 
 
 def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:

@@ -15,13 +15,13 @@ from cluster_est.closed_loop.account import (
     LastAnswer,
     account,
     best_on_few_rows,
-    inputs_like_ramps,
     last_answer,
     last_fits_to_all_rows,
     last_models,
     last_noise,
     result_so_far,
 )
+from cluster_est.closed_loop.findings.description import inputs_like_ramps
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, with_outputs
 from cluster_est.closed_loop.numerical_error import NumericalError

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from cluster_est.closed_loop.account import inputs_like_ramps
+from cluster_est.closed_loop.findings.description import inputs_like_ramps
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter

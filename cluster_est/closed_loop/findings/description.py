@@ -514,3 +514,14 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
         f"{curve.variable} = {also.told_at:.3g}{over}, the two would differ by "
         f"{also.told_by:.2g}{unit}, so measure there to distinguish them."
     )
+
+
+LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
+"""Forms at an input that linear interpolation of jumps can imitate."""
+
+
+def inputs_like_ramps(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
+    """Return the inputs with an effect that linear interpolation of jumps can imitate."""
+    return tuple(
+        c.site.target for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS
+    )
