@@ -19,7 +19,7 @@ from cluster_est.cli.printing import (
 )
 from cluster_est.experiment_design.design_sentences import times
 from cluster_est.html_report.headline import next_steps
-from cluster_est.html_report.reported_run import read_results
+from cluster_est.html_report.reported_run import other_laws, read_results
 from cluster_est.problem.display import NO_ALTERNATIVE, SAME_PREDICTION, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
@@ -207,7 +207,7 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
         answer.say(f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
         answer.say(f"  {sentence}")
-    others = _other_laws(effect)
+    others = other_laws(effect)
     for other in others:
         answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     if any(_differs(other) for other in others):
@@ -216,11 +216,6 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
         answer.say("  (nothing in these data distinguishes them)")
     elif kind == "effect" and not effect["alternatives"]:
         answer.tell(f"  {NO_ALTERNATIVE}")
-
-
-def _other_laws(effect: Facts) -> list[Facts]:
-    """Return the alternatives that are other laws, not the same law with a further coefficient."""
-    return [other for other in effect["alternatives"] if not other.get("nested")]
 
 
 def _range(row: Facts) -> str:
@@ -338,7 +333,7 @@ def _print_rest(answer: Answer, facts: Facts, rows: Rows) -> None:
             "sentence": "this shows where to look, but not what is missing"
         }
         answer.say(said + known["sentence"])
-        for other in _other_laws(effect):
+        for other in other_laws(effect):
             answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     noise = ", ".join(
         f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()

@@ -33,7 +33,7 @@ from cluster_est.html_report.page_blocks import (
     table,
     with_unit,
 )
-from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row, other_laws
 from cluster_est.html_report.scales import Scale
 from cluster_est.problem.display import NO_ALTERNATIVE, in_percent, percent
 from workers.messages import FloatArray
@@ -166,7 +166,7 @@ def effects(run: ReportedRun) -> ReportSection:
             blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
-        blocks += [_rivals(each) for each in rejected if _other_laws(each)]
+        blocks += [_rivals(each) for each in rejected if other_laws(each)]
     title = "Missing effects" if run.is_loop else "Declared effects"
     return ReportSection("effects", title, tuple(blocks))
 
@@ -230,7 +230,7 @@ def candidates(run: ReportedRun) -> ReportSection:
     blocks: list[Block] = [
         _rivals(effect)
         for effect in run.facts.get("effects") or []
-        if _other_laws(effect) or (effect.get("claimed", True) and not effect.get("alternatives"))
+        if other_laws(effect) or (effect.get("claimed", True) and not effect.get("alternatives"))
     ]
     if rows:
         blocks.insert(
@@ -340,13 +340,8 @@ def _ranked(step: int, rows: list[Row]) -> TableBlock:
     return table(names, lines, f"Step {step}: {len(rows)} candidates", folded=True)
 
 
-def _other_laws(effect: Row) -> list[Row]:
-    """Return the alternatives that are other laws, not the same law with a further coefficient."""
-    return [other for other in effect.get("alternatives") or [] if not other.get("nested")]
-
-
 def _rivals(effect: Row) -> Block:
-    others = _other_laws(effect)
+    others = other_laws(effect)
     if not others:
         return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
     names = ("cannot be distinguished", "equation", "#criterion", "differ most at", "#by")

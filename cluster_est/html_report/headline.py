@@ -11,7 +11,7 @@ from pathlib import Path
 from cluster_est.html_report.error_sections import error_sentence, error_sizes
 from cluster_est.html_report.number_text import count, percent
 from cluster_est.html_report.page_blocks import NextStep, Tone
-from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row, other_laws
 from cluster_est.run_folder.run_files import RunStatus, run_worth
 
 
@@ -242,7 +242,7 @@ def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     effects: list[Row] = run.facts.get("effects") or []
     if effects:
         yield NextStep("Export the repaired model.", _export(run, "repaired.fmu"))
-    if any(effect.get("alternatives") for effect in effects):
+    if any(other_laws(effect) for effect in effects):
         yield _design(run, "Distinguish the effect from its rivals with another experiment")
     if run.facts["verdict"] in ("unexplained", "partial"):
         yield NextStep(

@@ -177,5 +177,10 @@ def read_results(path: Path) -> ReportedRun:
     return ReportedRun(path.resolve().name, stored.facts, config, tables, wide, NO_ACTIVITY, path)
 
 
+def other_laws(effect: Row) -> list[Row]:
+    """Return the alternatives that are other laws, not the same law with a further coefficient."""
+    return [other for other in effect.get("alternatives") or [] if not other.get("nested")]
+
+
 def _table(path: Path) -> pa.Table | None:
     return read_run_columns(path) if path.is_file() else None

@@ -117,6 +117,8 @@ def test_the_same_law_with_a_short_lag_is_neither_named_nor_excluded(printed, pa
     for said in (printed(facts), page(facts)):
         assert "curve at der(v)" not in said
         assert NO_ALTERNATIVE not in said
+        assert "from its rivals" not in said
+    assert "from its rivals" in printed(LOOP | {"effects": [EFFECT | {"alternatives": [SAME]}]})
 
 
 @pytest.mark.parametrize(("noise", "said"), [(0.5, False), (0.4, True)])
