@@ -14,6 +14,9 @@ FaultKind = Literal[
 ]
 Sort = Literal["inputs", "outputs", "times"]
 
+UNKNOWN_COLUMN = "COLUMN"
+"""Stands for a column whose name is not known, such as that of an array in Python."""
+
 UNIT_FACTORS: tuple[tuple[float, float, str], ...] = (
     (180.0 / math.pi, 0.0, "degrees for radians"),
     (30.0 / math.pi, 0.0, "1/min for rad/s"),
@@ -82,7 +85,7 @@ class RecordFault:
     frequencies: tuple[float, float] = (math.nan, math.nan)
     factor: float = 1.0
     offset: float = 0.0
-    column: str = "COLUMN"
+    column: str = UNKNOWN_COLUMN
     held_out: float = math.nan
 
     @property
@@ -162,10 +165,16 @@ class RecordFault:
             plain = {"factor": 1.0, "offset": 0.0}
             given = [f"{k} = {v:.6g}" for k, v in numbers.items() if v != plain[k]]
             key = dotted("columns", self.column)
-            return f"{key} = {{ {', '.join(given)} }}{where} corrects it"
+            instead = ""
+            if self.sort == "times" and self.column == UNKNOWN_COLUMN:
+                instead = (
+                    ", with the name of the time column, or a sample_time multiplied by "
+                    f"{self.factor:.6g},"
+                )
+            return f"{key} = {{ {', '.join(given)} }}{instead}{where} corrects it"
         if self.kind in ("delay", "clock"):
             each = " for each output" if self.kind == "clock" else ""
-            key = dotted("columns", "COLUMN" if each else self.column)
+            key = dotted("columns", UNKNOWN_COLUMN if each else self.column)
             return f"{key} = {{ late = {self.size:.6g} }}{where}{each} corrects it"
         if self.kind == "swapped":
             pairs = ", ".join(dotted(self.sort, name) for name in self.variables)

@@ -61,15 +61,18 @@ def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
         except ClusterEstError:  # then only this hint is missing
             continue
         if found:
-            return tuple(_with_column(fitted, each) for each in found)
+            return tuple(with_column(fitted, each) for each in found)
     return ()
 
 
-def _with_column(fitted: FittedRecords, fault: RecordFault) -> RecordFault:
+def with_column(fitted: FittedRecords, fault: RecordFault) -> RecordFault:
     """Add the name of the table's column, if it is known."""
-    key = f"{fault.sort}.{fault.variables[0]}"
-    column = fitted.problem.columns.get(key, fault.column)
-    return replace(fault, column=column)
+    if fault.sort == "times":
+        times = {table.time for table in fitted.problem.tables}
+        (column,) = times if len(times) == 1 else (None,)
+    else:
+        column = fitted.problem.columns.get(f"{fault.sort}.{fault.variables[0]}")
+    return replace(fault, column=column or fault.column)
 
 
 def faults_of_fit(

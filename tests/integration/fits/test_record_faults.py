@@ -1,6 +1,7 @@
 """Records with one thing wrong; the data are SciPy's, and what is wrong was put in by hand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from scipy.signal import StateSpace, lsim
 from support.problems.springs import FMU, TRUE
 
 import cluster_est as ce
-from cluster_est.results.record_faults.find import TESTS, too_few_records
+from cluster_est.results.record_faults.fault import RecordFault
+from cluster_est.results.record_faults.find import TESTS, too_few_records, with_column
 
 TIMES = 0.02 * np.arange(300)
 ONE = ce.Resources(workers=1)
@@ -189,3 +191,19 @@ def test_an_output_that_is_compared_up_to_scale_is_not_tested():
         for run in problem.experiments
     ]
     assert not ce.fit(replace(problem, experiments=tuple(runs)), resources=ONE).record_faults
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (["t_min", "t_min"], "columns.t_min = { factor = 60 } corrects it"),
+        (["t_min", "t"], "or a sample_time multiplied by 60, corrects it"),
+        ([None], "or a sample_time multiplied by 60, corrects it"),
+        ([], "or a sample_time multiplied by 60, corrects it"),
+    ],
+)
+def test_times_in_a_wrong_unit_are_corrected_in_the_time_column(times, said):
+    fault = RecordFault("unit", "", "times", ("times",), 1 / 60, 9.0, 1.0, factor=60.0)
+    tables = [SimpleNamespace(time=time) for time in times]
+    fitted = SimpleNamespace(problem=SimpleNamespace(tables=tables, columns={}))
+    assert said in with_column(fitted, fault).sentence
