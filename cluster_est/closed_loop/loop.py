@@ -204,5 +204,6 @@ def with_interpolation(result: LoopResult, other: PreferredInterpolation | None)
         return result
     if not other.explains_most and result.verdict is not Verdict.FOUND:
         return replace(result, notes=(other.sentence, *result.notes))
-    message = f"{result.message}; but the model fits better with {other.key}: set it first"
+    but = f"but the model fits better with {other.key}: set it first"
+    message = in_sentences([result.message, but])
     return replace(result, message=message, notes=(other.sentence, *result.notes))

@@ -261,7 +261,7 @@ def test_a_closed_loop_says_it_first(rows):
     found = ce.close_loop(problem, ONE, thinning=thinning)
     (said,) = [note for note in found.notes if "fits better with input F held" in note]
     assert found.notes[0] == said
-    assert found.message.endswith(f"but the model fits better with {KEY % 'hold'}: set it first")
+    assert found.message.endswith(f". But the model fits better with {KEY % 'hold'}: set it first")
     assert KEY % "hold" in said
 
 
