@@ -11,19 +11,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from cluster_est.closed_loop.account import (
+from cluster_est.closed_loop.account import account, last_noise, result_so_far
+from cluster_est.closed_loop.findings.description import inputs_like_ramps
+from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, with_outputs
+from cluster_est.closed_loop.last_fits import (
     LastAnswer,
-    account,
     best_on_few_rows,
     last_answer,
     last_fits_to_all_rows,
     last_models,
-    last_noise,
-    result_so_far,
 )
-from cluster_est.closed_loop.findings.description import inputs_like_ramps
-from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, with_outputs
 from cluster_est.closed_loop.numerical_error import NumericalError
 from cluster_est.closed_loop.outliers import (
     Place,

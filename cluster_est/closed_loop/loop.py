@@ -19,10 +19,11 @@ from typing import Any
 
 from typing_extensions import override
 
-from cluster_est.closed_loop.account import account, last_answer, last_fits
+from cluster_est.closed_loop.account import account
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.closed_loop.last_fits import last_answer, last_fits
 from cluster_est.closed_loop.long_records import (
     AccountedSearch,
     loop_on_thinned_records,

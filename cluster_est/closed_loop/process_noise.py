@@ -19,12 +19,13 @@ from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.account import LastAnswer, LastFits, account, final_fit, last_models
+from cluster_est.closed_loop.account import account
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.last_fits import LastAnswer, LastFits, final_fit, last_models
 from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import SelectionResult

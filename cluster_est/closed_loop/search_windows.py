@@ -16,9 +16,9 @@ from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.account import best_on_few_rows
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.last_fits import best_on_few_rows
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError

@@ -15,10 +15,11 @@ from support.loop_objects import (
 )
 
 from cluster_est import LoopSettings
-from cluster_est.closed_loop.account import LastAnswer, LastFits, account
+from cluster_est.closed_loop.account import account
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
+from cluster_est.closed_loop.last_fits import LastAnswer, LastFits
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
     RejectionReason,
