@@ -23,11 +23,10 @@ from cluster_est.closed_loop.findings.competing_models import (
     with_probabilities,
 )
 from cluster_est.closed_loop.findings.description import (
-    LIKE_RAMPS,
     describe_effects,
     describe_untested,
     error_changes,
-    inputs_like_ramps,
+    is_like_ramp,
     shared_arguments,
     taken_for_definitions,
     where_left,
@@ -40,7 +39,7 @@ from cluster_est.closed_loop.findings.unexplained import (
     unexplained_residuals,
     varying_columns,
 )
-from cluster_est.closed_loop.findings.verdict import judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.last_fits import LastAnswer, LastFits, as_it_is
 from cluster_est.closed_loop.output_noise import (
@@ -112,30 +111,26 @@ def account(
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
-    named = describe_effects(fitter, found, grown, curves)
-    if not named and judgement.verdict is Verdict.UNEXPLAINED:
-        named = _best_tried(fitter, found)
-    if not fitter.predicts:  # the benchmark has hardly any claims with process noise
-        errors = over_noise(fits.errors, judgement.noise)
-        declared = fitter.sigma_declared
-        named = with_claims(named, errors, compared, declared=declared, claimed=keep)
+    named = _named(fitter, answer, judgement, curves, compared)
     said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
     said.insert(1, how_sure(named, claimed=keep))
     noise = {} if fitter.predicts else fitter.noise_in_units(last_noise(fitter, found, keep=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
-    tried = (*_nothing_tried(found, scope.sites), *taken_for_definitions(found.definitions))
     ramps = [effect for effect in kept.added if effect.site.target not in linear]
     notes = (
         *failed,
-        *tried,
+        *_nothing_tried(found, scope.sites),
+        *taken_for_definitions(found.definitions),
         *doubts,
         *answer.against,
         *scope.notes,
         *scope.notes_on_inputs(linear),
+        *rounding_notes(fitter, noise),
+        *shared_arguments(kept.added),
+        *like_ramps(fitter, ramps),
+        *_notes(fitter, judgement.verdict, kept, after, found.noise),
     )
-    notes = (*notes, *rounding_notes(fitter, noise), *shared_arguments(kept.added))
-    notes = (*notes, *like_ramps(fitter, ramps))
     return LoopResult(
         verdict=judgement.verdict,
         message=in_sentences(said),
@@ -147,7 +142,7 @@ def account(
         rejected=() if keep else named,
         noise=noise,
         sites=found.sites,
-        notes=(*notes, *_notes(fitter, judgement.verdict, kept, after, found.noise)),
+        notes=notes,
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,
         evaluations=fitter.runner.evaluations,
@@ -161,6 +156,25 @@ def account(
         competing=competing,
         process_noise=fits.noise if keep else (),
     )
+
+
+def _named(
+    fitter: Fitter,
+    answer: LastAnswer,
+    judgement: ReasonedVerdict,
+    curves: Sequence[EffectCurve],
+    compared: Sequence[ComparedStructure],
+) -> tuple[NamedEffect, ...]:
+    """Name the effects of an answer, or the best that were tried, and say how sure they are."""
+    found, fits = answer.found, answer.fits
+    named = describe_effects(fitter, found, fits.after, curves)
+    if not named and judgement.verdict is Verdict.UNEXPLAINED:
+        named = _best_tried(fitter, found)
+    if fitter.predicts:  # the benchmark has hardly any claims with process noise
+        return named
+    errors = over_noise(fits.errors, judgement.noise)
+    declared, claimed = fitter.sigma_declared, answer.keeps_effects
+    return with_claims(named, errors, compared, declared=declared, claimed=claimed)
 
 
 def last_noise(fitter: Fitter, found: SelectionResult, *, keep: bool) -> FloatArray:
@@ -283,14 +297,14 @@ def _notes(
 
 def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:
     """Say which effects may come from the linear interpolation of an input that jumps."""
-    found = inputs_like_ramps(added)
+    found = [c for c in added if is_like_ramp(c)]
     jumping = jumping_inputs(fitter.runs, fitter.description.holds) if found else {}
     return tuple(
         f"{c.label} may come in part from the linear interpolation of input {c.site.target}, which "
         "turns jumps into ramps: if the real input keeps each value until the next sample, set "
         'interpolation = "hold" for this input and run again before you rely on this effect'
-        for c in added
-        if c.form.name in LIKE_RAMPS and c.site.target in found and c.site.target in jumping
+        for c in found
+        if c.site.target in jumping
     )
 
 

@@ -520,8 +520,11 @@ LIKE_RAMPS = ("delay", "lag", "lag_from_rest", "rate_limit")
 """Forms at an input that linear interpolation of jumps can imitate."""
 
 
+def is_like_ramp(candidate: EffectCandidate) -> bool:
+    """Return whether linear interpolation of an input that jumps can imitate an effect."""
+    return candidate.site.kind == "input" and candidate.form.name in LIKE_RAMPS
+
+
 def inputs_like_ramps(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
-    """Return the inputs with an effect that linear interpolation of jumps can imitate."""
-    return tuple(
-        c.site.target for c in added if c.site.kind == "input" and c.form.name in LIKE_RAMPS
-    )
+    """Return the inputs with such an effect."""
+    return tuple(c.site.target for c in added if is_like_ramp(c))
