@@ -31,7 +31,7 @@ from cluster_est.html_report.recorded_curves import OutputCurves
 from cluster_est.html_report.reported_run import ReportedRun
 from cluster_est.html_report.scales import Scale
 from cluster_est.statistics.residual_tests import lagged_products
-from workers.effects.definition import per_second
+from workers.effects.units import per_second
 from workers.messages import FloatArray
 
 MOST_OUTPUTS = 4

@@ -32,7 +32,8 @@ from cluster_est.run_folder.run_files import (
     read_facts,
     read_run_table,
 )
-from workers.effects.definition import UNKNOWN_UNIT, EffectDefinition, coefficient_units, define_all
+from workers.effects.definition import EffectDefinition, define_all
+from workers.effects.units import UNKNOWN_UNIT, coefficient_units
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Value
 

@@ -325,15 +325,15 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
     """Return units of the effects' coefficients by "EFFECT.COEFFICIENT"; "" for unknown units."""
     if not problem.effects:
         return {}
-    from workers.effects import definition as effects  # SymPy takes long to import
+    from workers.effects import definition, units  # SymPy takes long to import
 
     description = problem.describe()
     found: dict[str, str] = {}
-    for definition in effects.define_all(
+    for effect in definition.define_all(
         problem.effects, description, problem.model.interface, problem.experiments
     ):
-        names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
-        texts = effects.coefficient_units(definition, description, problem.signal_units)
+        names = [f"{effect.effect.name}.{c.name}" for c in effect.form.coefficients]
+        texts = units.coefficient_units(effect, description, problem.signal_units)
         pairs = zip(names, texts, strict=True)
-        found |= {name: "" if effects.UNKNOWN_UNIT in unit else unit for name, unit in pairs}
+        found |= {name: "" if units.UNKNOWN_UNIT in unit else unit for name, unit in pairs}
     return found

@@ -162,7 +162,7 @@ class FormCoefficient:
     each
         Each experiment has its own value, such as the content of a store at the start.
     unit
-        Unit in the words of `workers.effects.definition.coefficient_units`, such as "site / v^2".
+        Unit in the words of `workers.effects.units.coefficient_units`, such as "site / v^2".
     """
 
     name: str

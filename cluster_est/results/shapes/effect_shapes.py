@@ -21,10 +21,10 @@ from workers.effects.definition import (
     SIGNAL_SYMBOL,
     EffectDefinition,
     define_all,
-    per_second,
     variable_symbol,
 )
 from workers.effects.site import EffectSite, difference, own_variable, parts_of, split_variable
+from workers.effects.units import per_second
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 

@@ -7,8 +7,9 @@ from support.problems.springs import ROOT
 from support.simulated import Worker
 from support.truth.form_terms import PAIR, TRAVEL
 
-from workers.effects.definition import coefficient_units, define
+from workers.effects.definition import define
 from workers.effects.site import open_pairs, parse_site
+from workers.effects.units import coefficient_units
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 

@@ -45,6 +45,8 @@ def test_the_version_is_that_of_the_project_where_it_is_installed(capsys, monkey
 STARTED = """
 import sys
 from cluster_est.cli import main
+import cluster_est.html_report.page
+assert "sympy" not in sys.modules, "sympy was imported"
 main(["show", sys.argv[1]])
 main(["check", sys.argv[2], "--seconds", "0"])
 assert "pandas" not in sys.modules, "pandas was imported"
@@ -60,7 +62,7 @@ print("as before")
 
 
 @pytest.mark.slow
-def test_no_command_imports_pandas_and_python_users_lose_nothing(tmp_path):
+def test_no_command_imports_pandas_or_sympy_first_and_python_users_lose_nothing(tmp_path):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     command = [sys.executable, "-c", STARTED, str(tmp_path), str(config)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
