@@ -243,7 +243,7 @@ class Fitter:
     noise_of_samples
         By output, if records are thinned: the noise of the samples before thinning, in its unit.
     sigma_declared
-        Whether the user has given a sigma for any output.
+        Whether the sigmas of the training experiments are declared; see `declares_sigma`.
     step_limits
         Step limit of simulations with added effects, by experiment; see `limited_by`.
     """

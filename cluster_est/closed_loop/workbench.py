@@ -278,15 +278,21 @@ def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
 
 
 def _weight_note(problem: Problem, noise: dict[str, float], *, some: bool) -> str:
-    sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
-    pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
+    sigmas: dict[str, list[float]] = {}
+    for output in (o for e in problem.experiments for o in e.outputs):
+        sigmas.setdefault(output.variable, []).append(output.sigma)
     silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
     but = f", except {' and '.join(silent)}, whose noise is not known" if silent else ""
-    none = "not every" if some else "no"
+    said = (
+        f"{'not every' if some else 'no'} sigma of the outputs is known, so each output was "
+        f"weighted with its estimated noise{but}"
+    )
+    if any(len({*own}) > 1 for own in sigmas.values()):  # then no single line has these weights
+        return said
+    pairs = ", ".join(f"{name} = {own[0]:.6g}" for name, own in sigmas.items())
     return (
-        f"{none} sigma of the outputs is known, so each output was weighted with its estimated "
-        f"noise{but}; for a fit with the same weights, write sigma = {{ {pairs} }} and "
-        "sigma_known = false into the experiments"
+        f"{said}; for a fit with the same weights, write sigma = {{ {pairs} }} and sigma_known = "
+        "false into the experiments"
     )
 
 

@@ -62,7 +62,7 @@ print("as before")
 
 
 @pytest.mark.slow
-def test_no_command_imports_pandas_or_sympy_first_and_python_users_lose_nothing(tmp_path):
+def test_no_command_imports_pandas_and_python_users_lose_nothing(tmp_path):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     command = [sys.executable, "-c", STARTED, str(tmp_path), str(config)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

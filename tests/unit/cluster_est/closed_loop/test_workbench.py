@@ -311,6 +311,15 @@ def test_a_known_sigma_does_not_make_those_of_other_outputs_known():
         assert any("not every sigma of the outputs is known, so" in n for n in bench.scope.notes)
 
 
+def test_one_line_is_not_proposed_for_sigmas_that_differ_between_experiments():
+    problem = two_units(0.5)
+    first, *others = problem.experiments
+    unknown = replace(first, outputs=tuple(replace(o, sigma=1.0) for o in first.outputs))
+    with opened(replace(problem, experiments=(unknown, *others))) as bench:
+        (note,) = (n for n in bench.scope.notes if "not every sigma of the outputs is known" in n)
+    assert "sigma = {" not in note
+
+
 def test_a_guess_that_grows_with_the_value_keeps_its_shape():
     """The guess is ten times the noise everywhere, so it is divided by ten everywhere."""
 
