@@ -109,7 +109,9 @@ class LoopSettings(Settings):
         (), description="forms to try, such as coulomb; default: the whole library"
     )
     sites: Annotated[Names, AfterValidator(_sites)] = Field(
-        (), description='sites to try, such as "der(v)"; default: all'
+        (),
+        description='sites to try, such as "der(v)"; default: all, without equations der(x) = v '
+        "that only define the speed v",
     )
     max_effects: Positive = Field(3, description="largest number of effects to add")
     significance: Finite = Field(
