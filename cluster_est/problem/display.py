@@ -140,6 +140,11 @@ def in_sentences(parts: Sequence[str]) -> str:
     return ". ".join([first, *(f"{part[:1].upper()}{part[1:]}" for part in others)])
 
 
+def in_unit(unit: str) -> str:
+    """Return a unit as it follows a number; "" if it is 1 or unknown."""
+    return "" if unit in ("", "1") or "?" in unit else f" {unit}"
+
+
 def plain_number(value: float, digits: int = 4) -> str:
     """Return a number with some digits; large numbers without an exponent, such as 1830."""
     if abs(value) < 10.0**digits or abs(value) >= LARGEST_PLAIN:

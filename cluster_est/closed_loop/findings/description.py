@@ -9,37 +9,25 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import KinematicDefinition
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.alternatives import alternatives_of
 from cluster_est.closed_loop.findings.effect_curves import agreements
-from cluster_est.closed_loop.findings.effects import (
-    AgreeingEquation,
-    AlternativeEffect,
-    ErrorChange,
-    NamedEffect,
-)
-from cluster_est.closed_loop.findings.naming import EffectName, Namer, variables_of_effect
+from cluster_est.closed_loop.findings.effects import AgreeingEquation, ErrorChange, NamedEffect
+from cluster_est.closed_loop.findings.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.unexplained import varying_columns
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.acceptance import period_of, residuals_without
-from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import CandidateStage
-from cluster_est.problem.display import SAME_PREDICTION, in_a_row, in_percent, readable_time
+from cluster_est.problem.display import in_a_row, in_percent, in_unit, readable_time
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
 from cluster_est.results.shapes.filter_responses import dynamics_in_words
 from workers.effects.laws import Law
 from workers.effects.site import bracketed
-from workers.messages import FloatArray
-
-LARGEST_DIFFERENCE = 10.0
-"""Largest difference between the predictions of an effect and of its alternative, at any sample,
-divided by the noise. If it is larger, the data distinguish the two effects, whatever their
-criteria."""
 
 WINDOWS = 20
 """Number of parts of a record, to say in which part most of its residual is."""
-
 
 STANDS_OUT = 4.0
 """A part of a record is named if its share of the sum of squares is at least this many times its
@@ -201,7 +189,7 @@ def _describe(
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=coefficients,
-        alternatives=_alternatives(fitter, found, candidate, namer, result),
+        alternatives=alternatives_of(fitter, found, candidate, namer, result),
         evidence=(
             *_evidence(found, candidate, period),
             *_columns(fitter, found, candidate, period),
@@ -238,105 +226,6 @@ def _agreeing(
     if curve is None or shape is None:
         return ()
     return agreements(curve, shape, named.placed.law, named.of_law)
-
-
-def _alternatives(
-    fitter: Fitter,
-    found: SelectionResult,
-    candidate: EffectCandidate,
-    namer: Namer,
-    result: Result,
-) -> tuple[AlternativeEffect, ...]:
-    """Return the rivals that the data do not exclude: their predictions are similar everywhere.
-
-    Other effects of the same structure are not rivals.
-    """
-    won, rivals = found.rivals.get(candidate.effect.name, (None, []))
-    if won is None:
-        return ()
-    others = {c.effect.name for c in found.current.added if c is not candidate}
-    made = []
-    for rival in rivals:
-        other = rival.candidate
-        where, when, output, size = _largest_difference(
-            fitter, won.fitted, rival.fitted, found.noise
-        )
-        if other.effect.name in others or not size <= LARGEST_DIFFERENCE:
-            continue
-        made.append(
-            AlternativeEffect(
-                site=str(other.site),
-                form=other.form.name,
-                family=other.form.family,
-                variables=other.effect.variables,
-                equation="" if other.form.law is Law.DELAYED else other.equation,
-                criterion=float(rival.criterion - won.criterion),
-                experiment=where,
-                output=output,
-                time=when,
-                difference=size,
-                words=namer.name(other, other.point(rival.fitted.coefficients(other)), None).words,
-                parameters=_moved_parameters(result, rival),
-                nested=size < SAME_PREDICTION and _contains(other, candidate),
-            )
-        )
-    return tuple(made)
-
-
-WITHOUT_ITS_TIME = {
-    Law.LAGGED: Law.LINEAR,
-    Law.DELAYED: Law.LINEAR,
-    Law.LAGGED_SQUARE: Law.SQUARE,
-    Law.TWO_LAGS: Law.LAGGED,
-    Law.SECOND_ORDER_LAG: Law.FIRST_ORDER_LAG,
-    Law.TWO_STORES: Law.STORE,
-}
-"""By law: the law to which it tends as its delay, or one of its time constants, tends to 0."""
-
-
-def _contains(rival: EffectCandidate, candidate: EffectCandidate) -> bool:
-    """Return whether a rival is the law of an effect if one of the rival's times is 0."""
-    place = rival.site == candidate.site and (
-        variables_of_effect(rival) == variables_of_effect(candidate)
-    )
-    limit = WITHOUT_ITS_TIME.get(rival.form.law)
-    return place and candidate.form.law in (limit, limit and WITHOUT_ITS_TIME.get(limit))
-
-
-MOST_MOVED = 3
-"""Largest number of parameters that are named because another effect gives them other values."""
-
-
-def _moved_parameters(result: Result, rival: RefittedCandidate) -> str:
-    """Name the declared parameters whose values with a rival are outside of their intervals."""
-    if not (rival.full or rival.fitted.converged):
-        return ""
-    values, effects = rival.fitted.estimates, [f"{e.name}." for e in result.problem.effects]
-    moved = []
-    for each in result.estimates:
-        half, value = 0.5 * (each.upper95 - each.lower95), values.get(each.label, math.nan)
-        shared = each.label == each.parameter and not each.label.startswith(tuple(effects))
-        if shared and half > 0.0 and abs(value - each.value) > half:
-            said = f"{each.label} = {value:.4g} instead of {each.value:.4g}{in_unit(each.unit)}"
-            moved.append((-abs(value - each.value) / half, said))
-    return in_a_row([said for _, said in sorted(moved)[:MOST_MOVED]]) if moved else ""
-
-
-def _largest_difference(
-    fitter: Fitter, one: FittedModel, other: FittedModel, noise: FloatArray
-) -> tuple[str, float, str, float]:
-    """Experiment, time, output and size of the largest difference of two models' predictions.
-
-    The size is divided by the noise of that output.
-    """
-    gap = np.abs(one.residuals - other.residuals)
-    for record in fitter.records.items:
-        gap[record.rows] /= max(float(noise[record.output]), 1e-300)
-    row = int(np.argmax(gap))
-    record = next(r for r in fitter.records.items if r.rows.start <= row < r.rows.stop)
-    time = float(record.times[row - record.rows.start])
-    output = fitter.records.outputs[record.output]
-    return fitter.runs[record.experiment].id, time, output, float(gap[row])
 
 
 def _columns(
@@ -490,11 +379,6 @@ FEWEST_DIGITS, MOST_DIGITS = 4, 8
 
 LONG_TIME = 120.0
 """Times above this number of seconds are written in minutes, hours or days."""
-
-
-def in_unit(unit: str) -> str:
-    """Return a unit as it follows a number; "" if it is 1 or unknown."""
-    return "" if unit in ("", "1") or "?" in unit else f" {unit}"
 
 
 def _range(curve: EffectCurve) -> str:

@@ -19,8 +19,8 @@ from support.named_effects import estimate
 from support.problems.springs import spring_problem
 
 from cluster_est import Effect, LoopResult, Parameter
+from cluster_est.closed_loop.findings.alternatives import contains
 from cluster_est.closed_loop.findings.description import (
-    _contains,
     describe_effects,
     error_changes,
     shared_arguments,
@@ -153,9 +153,9 @@ def law_at_v(name, form):
     ],
 )
 def test_the_same_law_with_a_time_that_nobody_can_see_is_no_rival(found, rival, nested):
-    assert _contains(law_at_v("b", rival), law_at_v("a", found)) is nested
+    assert contains(law_at_v("b", rival), law_at_v("a", found)) is nested
     elsewhere = replace(law_at_v("a", found), effect=Effect("a", "der(v)", found, ("x",)))
-    assert not _contains(law_at_v("b", rival), elsewhere)
+    assert not contains(law_at_v("b", rival), elsewhere)
 
 
 @pytest.mark.parametrize("scale", [0.0, 1.0])
