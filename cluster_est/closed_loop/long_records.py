@@ -58,7 +58,6 @@ from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
-from cluster_est.statistics.changed_simulation import fall_as_good
 from workers.messages import FloatArray, Outcome, Output
 
 FAINT = 0.3
@@ -476,7 +475,7 @@ class _ThinnedLoop:
         if before is None or after is None:
             return again
         more = len(fits.after.solution.x) - len(fits.before.solution.x)
-        as_good = fall_as_good(before, after, whole.records, more)
+        as_good = declared.as_good_as(whole.runs, before, after, more)
         ramps = inputs_like_ramps(answer.found.current.added)
         return with_effects_added(declared, again, as_good, ramps)
 

@@ -64,7 +64,6 @@ from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.find import record_faults
 from cluster_est.results.record_faults.fitted_records import FittedRecords
 from cluster_est.running.resources import Resources
-from cluster_est.statistics.changed_simulation import fall_as_good
 from workers.messages import FloatArray
 
 
@@ -207,7 +206,7 @@ def _interpolations_with_effects(
 ) -> InterpolationTest:
     """Test the interpolations again at a model with effects; see `with_effects_added`."""
     more = model.space.size - base.space.size
-    as_good = fall_as_good(base.residuals, model.residuals, fitter.records, more)
+    as_good = declared.as_good_as(fitter.runs, base.residuals, model.residuals, more)
     again = _interpolations(fitter, model, resources)
     return with_effects_added(declared, again, as_good, inputs_like_ramps(model.added))
 

@@ -28,10 +28,14 @@ from cluster_est.results.solver_error.measure import runner_beside, simulate_wit
 from cluster_est.running.resources import Budget, Resources
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.statistics.changed_simulation import ChangedSimulation, compare_simulations
+from cluster_est.statistics.changed_simulation import (
+    ChangedSimulation,
+    compare_simulations,
+    fall_as_good,
+)
 from cluster_est.statistics.records import make_records
 from workers.fmu.description import ModelDescription
-from workers.messages import Experiment, FloatArray, Input, Interpolation, Outcome
+from workers.messages import Experiment, FloatArray, Input, IntArray, Interpolation, Outcome
 
 MOST_SIMULATIONS = 8
 """Largest number of simulations with the other interpolation, for all inputs together."""
@@ -220,10 +224,26 @@ class InterpolationTest:
         The input with the clearest preference for the other interpolation; None if there is none.
     linear
         The inputs whose linear interpolation the measurements confirm: they reject a hold.
+    positions
+        Positions of the training experiments that show the preference.
     """
 
     preferred: PreferredInterpolation | None = None
     linear: tuple[str, ...] = ()
+    positions: tuple[int, ...] = ()
+
+    def as_good_as(
+        self, runs: Sequence[Experiment], before: FloatArray, after: FloatArray, unknowns: int
+    ) -> float:
+        """Return the fall with which the preferred interpolation is as good as a larger model.
+
+        Both are compared in the experiments that show the preference. `runs` are all training
+        experiments, with the residuals `before` and `after`; see `fall_as_good`.
+        """
+        if not self.positions:
+            return 0.0
+        rows, own = _rows_at(runs, self.positions)
+        return fall_as_good(before[rows], after[rows], make_records(own), unknowns)
 
 
 def interpolation_facts(found: PreferredInterpolation | None) -> dict[str, Any] | None:
@@ -242,6 +262,8 @@ def examine_interpolations(
 ) -> InterpolationTest:
     """Find the interpolations that the measurements prefer, and those that they confirm.
 
+    The result contains no input if none can be tested.
+
     Parameters
     ----------
     space, solution
@@ -252,11 +274,6 @@ def examine_interpolations(
         See `simulate_with_solver`.
     refits
         See `compare_interpolations`.
-
-    Returns
-    -------
-    InterpolationTest
-        Without any input if none can be tested.
     """
     problem = space.problem
     if noise_names(problem):  # a Kalman filter follows the data with any interpolation
@@ -264,8 +281,7 @@ def examine_interpolations(
     residuals = training_residuals(space, simulations)
     if residuals is None:
         return InterpolationTest()
-    jacobian = free_jacobian(space, solution, len(residuals), MOST_ENTRIES)
-    if jacobian is None:
+    if (jacobian := free_jacobian(space, solution, len(residuals), MOST_ENTRIES)) is None:
         return InterpolationTest()
     fitted = FittedExperiments(problem, space.experiments, residuals, jacobian)
     at = AtFit.of(space, solution.x, resources, runner)
@@ -290,7 +306,7 @@ def with_effects_added(
     declared, again
         The tests at the declared model and at the model with the effects.
     as_good
-        Relative decrease of the sum of squares that is as good as the effects; see `fall_as_good`.
+        Relative decrease of the sum of squares that is as good as the effects; see `as_good_as`.
     imitable
         Inputs with an effect that can imitate another interpolation.
     """
@@ -300,7 +316,8 @@ def with_effects_added(
     alike = known.variable in imitable and known.variable not in again.linear
     if known.fall < as_good and not alike:
         return again
-    return InterpolationTest(known, tuple(n for n in again.linear if n != known.variable))
+    linear = tuple(n for n in again.linear if n != known.variable)
+    return replace(declared, linear=linear)
 
 
 def compare_interpolations(
@@ -321,7 +338,7 @@ def compare_interpolations(
     runs = tuple(run for change in changes for run in _changed_runs(fitted, change))
     try:
         outcomes = iter(at.simulate(runs, [p for change in changes for p in change.positions]))
-        found: list[tuple[float, PreferredInterpolation]] = []
+        found: list[tuple[float, _Change, PreferredInterpolation]] = []
         linear: list[str] = []
         for change in changes:
             own = [next(outcomes) for _ in change.positions]
@@ -330,13 +347,15 @@ def compare_interpolations(
                 compared = _refitted(fitted, change, compared, at)
             if compared is not None and change.shown(compared):
                 strength = compared.share / compared.error if compared.error else np.inf
-                found.append((strength, _preferred(fitted, change, compared)))
+                found.append((strength, change, _preferred(fitted, change, compared)))
             elif compared is not None and compared.refuted and change.now == "linear":
                 linear.append(change.variable)
     except ClusterEstError:  # then only this hint is missing
         return InterpolationTest()
-    best = max(found, key=lambda each: each[0])[1] if found else None
-    return InterpolationTest(best, tuple(linear))
+    if not found:
+        return InterpolationTest(linear=tuple(linear))
+    _, change, best = max(found, key=lambda each: each[0])
+    return InterpolationTest(best, tuple(linear), change.positions)
 
 
 def _refitted(
@@ -439,12 +458,19 @@ def _compared(
     return compare_simulations(fitted.residuals[rows], changed, jacobian, records)
 
 
-def _rows(fitted: FittedExperiments, change: _Change) -> tuple[FloatArray, list[Experiment]]:
+def _rows(fitted: FittedExperiments, change: _Change) -> tuple[IntArray, list[Experiment]]:
     """Return the residual rows of the experiments of a change, and these experiments."""
     runs = [fitted.problem.experiments[e] for e in fitted.experiments]
+    return _rows_at(runs, change.positions)
+
+
+def _rows_at(
+    runs: Sequence[Experiment], positions: Sequence[int]
+) -> tuple[IntArray, list[Experiment]]:
+    """Return the residual rows of the experiments at some positions, and these experiments."""
     ends = np.cumsum([0, *(sum(len(o.times) for o in run.outputs) for run in runs)])
-    rows = [np.arange(ends[p], ends[p + 1]) for p in change.positions]
-    return np.concatenate(rows), [runs[p] for p in change.positions]
+    rows = [np.arange(ends[p], ends[p + 1]) for p in positions]
+    return np.concatenate(rows), [runs[p] for p in positions]
 
 
 def _preferred(

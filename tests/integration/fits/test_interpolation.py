@@ -193,6 +193,20 @@ def test_straight_lines_that_are_confirmed_with_a_delay_are_right(as_good, kept)
     assert found == (InterpolationTest(preference(0.65), ("G",)) if kept else again)
 
 
+def test_effects_are_compared_in_the_experiments_that_show_the_preference():
+    """The hold explains most of the second experiment, and the effect only the first."""
+    runs = spring("a sine with steps", "hold", "linear").experiments
+    large = np.random.default_rng(4).standard_normal(600)
+    after = np.concatenate([0.1 * large[:300], large[300:]])
+    one, both = (
+        InterpolationTest(preference(0.4), (), positions).as_good_as(runs, large, after, 2)
+        for positions in ((1,), (0, 1))
+    )
+    assert one < 0.0
+    assert both > 0.4
+    assert InterpolationTest().as_good_as(runs, large, after, 2) == 0.0
+
+
 @pytest.mark.parametrize(("fall", "doubt"), [(0.17, True), (0.4, True), (0.6, False)])
 def test_what_removes_a_small_part_of_the_error_may_imitate_an_effect(fall, doubt):
     assert ("an effect that the model lacks" in preference(fall).sentence) is doubt
