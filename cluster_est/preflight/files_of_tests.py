@@ -38,11 +38,10 @@ def with_joined_files(
         except DataError as error:
             data = inline([source.path.name for source, _ in group])
             reason = str(error).removeprefix("init: ")
-            notes.append(
+            return list(tables), (
                 f"{called}: by their names and columns, these are files of one test, but {reason}; "
-                f"so each file became an experiment; if they are one test, write data = {data}"
+                f"so each file became an experiment; if they are one test, write data = {data}",
             )
-            return list(tables), tuple(notes)
         notes.append(f"{called}: joined as the files of one test, {name!r}")
     return (found, tuple(notes)) if groups else (list(tables), ())
 

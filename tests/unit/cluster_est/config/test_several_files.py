@@ -179,10 +179,10 @@ class TestInit:
         with open("first.toml", "rb") as file:
             return tomllib.load(file), capsys.readouterr().out
 
-    def two_tests(self, folder, late=0.0):
-        for test in "12":
+    def two_tests(self, folder, late=(0.0, 0.0)):
+        for test, begin in zip("12", late, strict=True):
             logger(folder / f"run{test}_force.csv", FAST, "F", np.sin(FAST))
-            logger(folder / f"run{test}_position.csv", SLOW + late, "y", np.cos(SLOW))
+            logger(folder / f"run{test}_position.csv", SLOW + begin, "y", np.cos(SLOW))
         return [f"run{test}_{name}.csv" for test in "12" for name in ("force", "position")]
 
     def test_files_of_one_test_are_joined_and_it_says_so(self, tmp_path, monkeypatch, capsys):
@@ -194,14 +194,17 @@ class TestInit:
         assert tree["experiment_defaults"]["inputs"] == {"F": "F"}
         assert main(["check", "first.toml", "--seconds", "0"]) == 0
 
+    @pytest.mark.parametrize(("late", "test"), [((1.5, 1.5), 1), ((0.0, 1.5), 2)])
     def test_files_with_other_times_are_not_joined_and_it_says_why(
-        self, tmp_path, monkeypatch, capsys
+        self, tmp_path, monkeypatch, capsys, late, test
     ):
+        """No test is joined if one is not, and then none is said to be."""
         monkeypatch.chdir(tmp_path)
-        tree, said = self.call(capsys, *self.two_tests(tmp_path, late=1.5))
+        tree, said = self.call(capsys, *self.two_tests(tmp_path, late))
         assert len(tree["experiments"]) == 4
-        assert "these are files of one test, but the times of run1_position.csv go from" in said
-        assert "as if the clock of run1_position.csv were 1.52 s ahead" in said
+        assert f"are files of one test, but the times of run{test}_position.csv go from" in said
+        assert f"as if the clock of run{test}_position.csv were 1.52 s ahead" in said
+        assert "joined" not in said
 
     def test_tests_with_the_same_columns_are_not_joined(self, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
