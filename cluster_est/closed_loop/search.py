@@ -127,9 +127,7 @@ def search_for_effects(
     noise = expected_noise(fitter, base.residuals)
     fitter.enter("the error of the solver")
     error = measure_numerical_error(fitter, base, noise, resources)
-    tested = InterpolationTest()
-    if not thinned:
-        tested = _interpolations(fitter, base, resources)
+    tested = InterpolationTest() if thinned else _interpolations(fitter, base, resources)
     with_effects = partial(
         error_with_effects, fitter, declared=error, noise=noise, resources=resources
     )
