@@ -64,8 +64,8 @@ def init(options: Namespace, answer: Answer) -> int:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')
         answer.say(
-            f"{out}{place}: no column of {where} matches input {name!r}; name a column there, "
-            "otherwise the input keeps its start value",
+            f"{out}{place}: no column of {where} matches input {name!r}; name the column "
+            "of this input in the config, otherwise the input keeps its start value",
         )
     answer.say(f"{out} was written; check its lines, then run: cluster-est check {out}")
     return ExitCode.DONE
