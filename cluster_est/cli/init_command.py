@@ -57,8 +57,8 @@ def init(options: Namespace, answer: Answer) -> int:
     for variable, column in dict.fromkeys(each for run in found.runs for each in run.switches):
         answer.say(
             f"{out}{_place(text, dotted('columns', column))}: {column!r} is on or off, which is "
-            f"read as 1 and 0 {variable.unit}; uncomment the line, and give the value of "
-            f"{variable.name} when it is on"
+            f"read as 1 and 0 {variable.unit}; uncomment the line, and give the value that "
+            f"{variable.name} has while {column!r} is on"
         )
     for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)

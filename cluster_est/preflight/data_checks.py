@@ -79,7 +79,7 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
         value = stays(description.variables[name])
         count = len(problem.experiments)
         if len(ids) < count:
-            said = f"has no data in {len(ids)} of {count} experiments, and stays at {value} there"
+            said = f"has no data in {len(ids)} of {count} experiments, where it stays at {value}"
             lines.append(passed(f"input {name}", said))
             continue
         said = f"has no data, and stays at {value}"
