@@ -194,15 +194,13 @@ class PreferredInterpolation:
         how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
         doubt = (
-            "; if the model lacks a delay of about one sampling interval of this input, the data "
-            "look the same"
+            "; a delay of about one sampling interval of this input that the model lacks would look "
+            "the same"
             if self.slow
             else ""
         )
         if not self.explains_most:
-            doubt = (
-                "; if the model lacks a play or a delay, for example, the data may look the same"
-            )
+            doubt = "; an effect that the model lacks, such as a play or a delay, may look the same"
         fall = "more than 99" if self.fall > 0.99 else f"{100.0 * self.fall:.2g}"
         return (
             f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
