@@ -194,8 +194,7 @@ class PreferredInterpolation:
         how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
         doubt = (
-            "; a delay of about one sampling interval of this input that the model lacks would look "
-            "the same"
+            "; a missing delay of about one sampling interval of this input would look the same"
             if self.slow
             else ""
         )
