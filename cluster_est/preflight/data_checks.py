@@ -137,7 +137,7 @@ def _switches(problem: Problem, description: ModelDescription) -> list[CheckFind
             variable = description.variables.get(key.removeprefix("inputs."))
             if column in table.switches and variable is not None and has_unit(variable):
                 said = f"{column!r} is on or off, which is read as 1 and 0 {variable.unit}"
-                do = f"give {dotted('columns', column)}.factor, the value when it is on"
+                do = f"give {dotted('columns', column)}.factor, the input's value while it is on"
                 lines[variable.name] = note(f"input {variable.name}", said, do)
     return [*lines.values()]
 
