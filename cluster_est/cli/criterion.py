@@ -226,18 +226,19 @@ class Criterion:
 
 
 def _no_part(value: Any, part: str | int) -> str:
-    """Return why a value has no such part, and which parts it has."""
+    """Return why a value has no such field or entry, and which fields it has."""
     if isinstance(value, Mapping) and value:
-        found = f"there is no part {part!r}{nearest(str(part), value)}"
-        return f"{found} It has {', '.join([*value][:20])}."
+        found = f"there is no field {part!r}{nearest(str(part), value)}"
+        return f"{found} The fields are {', '.join([*value][:20])}."
     if isinstance(value, list) and isinstance(part, int):
-        return f"there is no part {part}, because this list has {len(value)} entries"
+        return f"there is no entry [{part}], because the list has {len(value)} entries"
     if isinstance(value, list):
         return (
-            f"there is no part {part!r}, because this is a list of {len(value)} entries; select an "
-            f"entry by its number, as in [0], or ask whether it has an entry: {str(part)!r} in LIST"
+            f"there is no field {part!r}, because the value is a list of {len(value)} entries; "
+            "select an entry by its index, as in [0], or test whether the list contains a value, "
+            f"as in {str(part)!r} in LIST"
         )
-    return f"there is no part {part!r}, because {json.dumps(value)[:60]} has no parts"
+    return f"there is no field {part!r}, because {json.dumps(value)[:60]} has no fields"
 
 
 def _joined(path: Sequence[str | int]) -> Iterator[tuple[int, str]]:

@@ -57,15 +57,15 @@ def init(options: Namespace, answer: Answer) -> int:
     for variable, column in dict.fromkeys(each for run in found.runs for each in run.switches):
         answer.say(
             f"{out}{_place(text, dotted('columns', column))}: {column!r} is on or off, which is "
-            f"read as 1 and 0 {variable.unit}; uncomment the line, and give the value of "
-            f"{variable.name} when it is on"
+            f"read as 1 and 0 {variable.unit}; uncomment the line, and give the value that "
+            f"{variable.name} has while {column!r} is on"
         )
     for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')
         answer.say(
-            f"{out}{place}: no column of {where} matches input {name!r}; name a column there, "
-            "otherwise the input keeps its start value",
+            f"{out}{place}: no column of {where} matches input {name!r}; name the column "
+            "of this input in the config, otherwise the input keeps its start value",
         )
     answer.say(f"{out} was written; check its lines, then run: cluster-est check {out}")
     return ExitCode.DONE

@@ -143,7 +143,7 @@ class LoopSettings(Settings):
     least_gain: Finite = Field(
         0.2,
         ge=0.0,
-        description="share of the gap between error and noise that an effect must close",
+        description="share of the squared error above the noise that an effect must remove",
     )
     near_noise: Finite = Field(
         1.5,

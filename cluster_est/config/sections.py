@@ -208,8 +208,8 @@ class MapSection(ConfigSection):
     )
     bounds: Bounds = Field(
         (float("-inf"), float("inf")),
-        description="[lower, upper] of every value; with slope_change: of the first value, and "
-        "also the limits of the change from one point to the next",
+        description="[lower, upper] of every value; with slope_change: of the first value, and the "
+        "first slope is at most upper - lower over the smallest distance between two points",
     )
     slope_change: Finite | None = Field(
         None,

@@ -256,7 +256,7 @@ def _how(run: ReportedRun, charts: RecordCharts, full: int) -> str:
         said += (
             f"If you zoom in, the charts of {of} show every sample."
             if full
-            else "If you zoom in, the charts show no further samples."
+            else "The other samples are not shown, even if you zoom in."
         )
         said += (
             " The file residuals.parquet in the run's folder has all samples."

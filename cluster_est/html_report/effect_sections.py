@@ -250,6 +250,10 @@ def candidates(run: ReportedRun) -> ReportSection:
     return ReportSection("candidates", "Candidates", tuple(blocks))
 
 
+REMOVED = (
+    '"Removed" is the share of the squared error above the noise that a set of effects removes on '
+    "the training data."
+)
 LEFT_OUT = (
     '"Left out" is the error of cross-validation on the training data; "held out" is the error on '
     "held-out experiments as a multiple of the noise. Only sets that the search accepted have "
@@ -261,11 +265,13 @@ LEFT_OUT = (
 def _compared(run: ReportedRun) -> list[Block]:
     """Return the structures that each step refitted, the best first."""
     names = (
-        "structure", "#gap closed", "#criterion", "#left out", "#held out", "#probability",
+        "structure", "#removed", "#criterion", "#left out", "#held out", "#probability",
         "#chosen", "move", "",
     )  # fmt: skip
     blocks: list[Block] = []
     rows = [row for row in run.tables["structures"] if row["effects"]]  # without the declared model
+    if rows:
+        blocks.append(TextBlock(REMOVED))
     if any(row["left_out"] == row["left_out"] for row in rows):
         blocks.append(TextBlock(LEFT_OUT))
     for step in sorted({row["step"] for row in rows}):

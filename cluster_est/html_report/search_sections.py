@@ -111,8 +111,8 @@ def _steps(run: ReportedRun) -> list[Block]:
     names = [f"{row['step']}: {' + '.join(row['effects'])}" for row in best]
     across = Scale.around(closed, np.array([0.0, 100.0]))
     shown = "" if len(best) == len(rows) else f", the best {len(best)} of {len(rows)}"
-    title = f"Share of the gap between error and noise that each set of effects closed{shown}"
-    below = "share of the gap that is closed on the training data (%)"
+    title = f"Squared error above the noise that each set of effects removed{shown}"
+    below = "removed share, on the training data (%)"
     return [FigureBlock("steps", title, row_chart(title, below, across, marks, names), STEPS_NOTE)]
 
 

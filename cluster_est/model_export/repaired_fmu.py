@@ -60,10 +60,10 @@ _SIMULATION = """The original FMU is for co-simulation, and so is this one. It m
 the run."""
 _STEP = """In co-simulation, {sentence}.
 
-In the run, inputs were interpolated linearly or held between their samples, as its config says.
-For these figures, they were kept constant within each communication step, as most tools do, and
-every experiment had its own values. Tools that set input derivatives
-(fmi2SetRealInputDerivatives) may take longer steps."""
+These errors were computed with inputs that are constant within each communication step, as in most
+tools. In the run, inputs were interpolated linearly or held between their samples, as set in the
+config of the run. Parameters that differ between experiments had the values of each experiment.
+Tools that set input derivatives (fmi2SetRealInputDerivatives) may take longer steps."""
 
 
 def readme(layout: WrapperLayout, name: str, tool: str, step: StepErrors | None) -> str:

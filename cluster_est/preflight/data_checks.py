@@ -79,7 +79,7 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
         value = stays(description.variables[name])
         count = len(problem.experiments)
         if len(ids) < count:
-            said = f"has no data in {len(ids)} of {count} experiments, and stays at {value} there"
+            said = f"has no data in {len(ids)} of {count} experiments, where it stays at {value}"
             lines.append(passed(f"input {name}", said))
             continue
         said = f"has no data, and stays at {value}"
@@ -137,7 +137,7 @@ def _switches(problem: Problem, description: ModelDescription) -> list[CheckFind
             variable = description.variables.get(key.removeprefix("inputs."))
             if column in table.switches and variable is not None and has_unit(variable):
                 said = f"{column!r} is on or off, which is read as 1 and 0 {variable.unit}"
-                do = f"give {dotted('columns', column)}.factor, the value when it is on"
+                do = f"give {dotted('columns', column)}.factor, the input's value while it is on"
                 lines[variable.name] = note(f"input {variable.name}", said, do)
     return [*lines.values()]
 

@@ -177,7 +177,7 @@ def _file(folder: Path, role: str) -> Path | None:
     if len(found) > 1:
         raise DataError(
             f"init: {folder} must have one table of {role}, but has {found[0].name} and "
-            f"{found[1].name}; move one elsewhere"
+            f"{found[1].name}; move one of the two to another folder"
         )
     return found[0] if found else None
 

@@ -431,7 +431,10 @@ def _conversions(run: DraftExperiment) -> Iterator[str]:
         if clock.unit and time is not None and clock.name != time.name:
             yield from _conversion(clock, "s", "times are in seconds")
     for variable, name in run.switches:
-        why = f"on and off are read as 1 and 0 {variable.unit}: give the value when it is on"
+        why = (
+            f"on and off are read as 1 and 0 {variable.unit}: give the value of {variable.name} "
+            f"while {name} is on"
+        )
         yield f"# {dotted('columns', name)} = {inline({'factor': 1.0})}  # {why}"
     inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
     for variable, column in (*inputs, *_compared(run)):

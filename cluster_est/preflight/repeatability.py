@@ -216,7 +216,7 @@ def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
     if found is True:
         return _one_only(subject, f"{can_be}, but they {DISTURBED}")
     if isinstance(found, NoAnswer) and found.late:
-        said = f"{can_be}; there was no answer to whether they disturb each other: {found.message}"
+        said = f"{can_be}; it is not known whether they disturb each other: {found.message}"
         return not_done("instances", said, "give it more time with --seconds")
     if isinstance(found, NoAnswer) and found.crashed:
         return _one_only(subject, f"{can_be}, but with two of them, {found.message}")

@@ -51,8 +51,8 @@ class TableShape:
     monotone
         "increasing" or "decreasing" as a constraint; "" for none.
     bounds
-        Bounds of all values. With `slope_change`, they are the bounds of the first value, and of
-        the change that the first slope causes in one interval.
+        Bounds of all values. With `slope_change`, they are the bounds of the first value. The first
+        slope is then at most upper - lower over the shortest interval.
     """
 
     slope_change: float | None = None

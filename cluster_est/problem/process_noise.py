@@ -72,7 +72,7 @@ def vanished_noise(
             ):
                 found.append(
                     f"{label} ended at its lower bound, {values[label]:.3g}: the data are "
-                    "explained as well without this process noise as with a little of it. The "
+                    "explained equally well without this process noise. The "
                     "intervals of all other values are correct only if there is no such noise; "
                     f"compute a likelihood profile of {label} (uncertainty.profiles), or use more "
                     "data"

@@ -170,8 +170,8 @@ def _check_inputs(experiment: Experiment, description: ModelDescription, where: 
             )
         if variable.alias_of is not None:  # values under both names would be ambiguous
             raise ProblemError(
-                f"{where}.inputs: {given.variable!r} must be the input's own name, but is another "
-                f"name of {variable.alias_of!r}; use {variable.alias_of!r}"
+                f"{where}.inputs: must use the name {variable.alias_of!r} for this input, but uses "
+                f"{given.variable!r}, which is another name of {variable.alias_of!r}; replace it"
             )
 
 

@@ -165,10 +165,10 @@ def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation
     if not change > SAME_SIMULATION * size:
         return ""
     return (
-        "when the simulation was repeated with the same values, the outputs differed by "
-        f"{change / size:.1g} of their measured size: either the FMU depends on more than its "
-        "inputs (its process, a clock), or it is so sensitive to its parameters that rounding "
-        "matters; check it with cluster-est check"
+        "when the simulation was repeated with the same values, the outputs differed by a fraction "
+        f"of {change / size:.1g} of their size: either the FMU depends on more than its inputs and "
+        "parameters, such as its process or a clock, or it is so sensitive to its parameters that "
+        "rounding matters; check the FMU with cluster-est check"
     )
 
 

@@ -149,8 +149,8 @@ def start_advice(problem: Problem, error: InitialError) -> str:
     others = " and ".join(error.others)
     do = "depends" if len(error.others) == 1 else "depend"
     return (
-        f"if {others} {do} on the same initial states, these are right, and the sensor or the "
-        f"logger of {error.output} needs time to settle: leave it out with warm_up = "
+        f"if {others} {do} on the same initial states, these states are right, and the sensor "
+        f"or the logger of {error.output} needs time to settle: leave this time out with warm_up = "
         f"{error.settling:g} in experiment_defaults; otherwise {free_start_advice(problem)}"
     )
 

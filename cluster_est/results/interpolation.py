@@ -198,19 +198,18 @@ class PreferredInterpolation:
         how = "held between its samples" if held else "interpolated linearly"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
         doubt = (
-            "; a delay of about one of its sampling intervals that is missing from the model looks "
-            "alike"
+            "; a missing delay of about one sampling interval of this input would look the same"
             if self.slow
             else ""
         )
         if not self.explains_most:
-            doubt = "; an effect that the model lacks, such as a play or a delay, may look alike"
+            doubt = "; an effect that the model lacks, such as a play or a delay, may look the same"
         fall = "more than 99" if self.fall > 0.99 else f"{100.0 * self.fall:.2g}"
         return (
             f"the model fits better with input {self.variable} {how}: the sum of squares falls by "
-            f"{fall} %, most of it in experiment {self.experiment!r}{after} (the "
-            f"best mixture has {self.share:.2f} +- {self.error:.2g}, where 0 is the interpolation "
-            f"of this fit and 1 the other one); set {self.key} and fit again{doubt}"
+            f"{fall} %, most of it in experiment {self.experiment!r}{after}; the "
+            f"best mixture of both interpolations is {self.share:.2f} +- {self.error:.2g}, where 0 "
+            f"is that of this fit and 1 the other one; set {self.key} and fit again{doubt}"
         )
 
 

@@ -91,9 +91,10 @@ def wrong_phase_notes(
     return (
         f"in {where}, {name} oscillates with a period of {measured.period:.3g} s, "
         f"{measured.cycles:.0f} times in the record, but the fitted model {how}: a search that "
-        "begins far from the solution may end in a minimum with a wrong phase. Try multistart.n = "
-        f"{more}; or segments in which a phase error cannot grow, method.shooting = {{ length = "
-        f"{2.0 * measured.period:.3g} }}; or a start with about the right period",
+        "begins far from the solution may end in a minimum with a wrong phase. Try several "
+        f"starts (multistart.n = {more}), multiple shooting with segments in which a phase error "
+        f"cannot grow (method.shooting = {{ length = {2.0 * measured.period:.3g} }}), or start "
+        "values with about the right period",
     )
 
 

@@ -152,7 +152,7 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
     if not path.is_file():
         do = ""
         if (run_folder / SWEEP_SUMMARY_FILE).is_file():
-            do = "; it is the folder of a sweep: choose the folder of one of its runs in it"
+            do = "; this is the folder of a sweep: choose the folder of one of its runs"
         raise RunFolderError(f"{run_folder}: must be the folder of a run, but has no run.json{do}")
     content = path.read_bytes()
     try:

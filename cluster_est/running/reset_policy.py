@@ -387,7 +387,7 @@ def _refuse_here(
             f"executor.name: {file} keeps data from one simulation to the next, even in a new "
             f'instance, so each simulation needs its own process, but "{executor}" runs all of '
             'them in one process; choose "processes" or "ray", or set model.reset = "reset" if '
-            "that does not matter"
+            "these data do not affect the results"
         )
 
 

@@ -90,7 +90,7 @@ class ProfileResult:
         if self.better is not None:
             found.append(
                 f"{self.label}: the computation of its profile found a better minimum (cost "
-                f"{self.better[1]:.6g} instead of {self.cost:.6g}); fit again from there"
+                f"{self.better[1]:.6g} instead of {self.cost:.6g}); fit again from this minimum"
             )
         return tuple(found)
 

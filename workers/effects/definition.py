@@ -304,10 +304,11 @@ def divisors(effect: Effect, where: str) -> tuple[str, ...]:
 def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
     """Return the form that an effect names, or a form for its own equation."""
     if effect.reaction and (site.kind != "pair" or not effect.equation):
+        is_given = f"a form ({effect.form!r})" if effect.form else "neither equation nor form"
+        but = f"{is_given} is given" if site.kind == "pair" else f"site is {effect.site!r}"
         raise EffectError(
-            f"{where}: reaction: is only for an equation at a pair, but site is {effect.site!r} "
-            f"and {'form is ' + repr(effect.form) if effect.form else 'no form is given'}; leave "
-            "it out"
+            f'{where}: reaction: can be used only with an equation at a site "pair STATE,STATE", '
+            f"but {but}; remove reaction"
         )
     if not effect.equation:
         return form(site.kind, effect.form, where)

@@ -57,11 +57,15 @@ class Law(enum.Enum):
     DELAYED = "a term in the delayed {v}"
     TWO_LAGS = "a term in {v} with two hidden time constants"
     LAGGED_SQUARE = "a term in the lagged square of {v}"
-    STORE = "an exchange with a hidden store that follows {v}"
-    STORE_FROM_ZERO = "an exchange with a hidden store that follows {v} and starts at zero"
-    STORE_FROM_ELSEWHERE = "an exchange with a hidden store that follows {v} and starts elsewhere"
-    TWO_STORES = "an exchange with two hidden stores that follow {v}"
-    TWO_STORES_FROM_ZERO = "an exchange with two hidden stores that follow {v} and start at zero"
+    STORE = "an exchange with a hidden store that lags behind {v}"
+    STORE_FROM_ZERO = "an exchange with a hidden store that lags behind {v} and starts at zero"
+    STORE_FROM_ELSEWHERE = (
+        "an exchange with a hidden store that lags behind {v} and has an estimated start value"
+    )
+    TWO_STORES = "an exchange with two hidden stores that lag behind {v}"
+    TWO_STORES_FROM_ZERO = (
+        "an exchange with two hidden stores that lag behind {v} and start at zero"
+    )
     STORE_BETWEEN = "a hidden store between {v} and {w}"
     DECAY = "a term that decays from the start of the record"
     ATTACHED_OSCILLATOR = "a hidden oscillator attached to {v}"

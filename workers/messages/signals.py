@@ -169,8 +169,8 @@ def _remedy(times: FloatArray, place: Callable[[int], str], of_rows: bool) -> st
     if wrong:
         many = f" (and of {len(wrong) - 1} more rows)" if len(wrong) > 1 else ""
         return (
-            f"the other times fit together without it, so the time of {place(wrong[0])}{many} is "
-            f"wrong, {times[wrong[0]]:.9g}: correct it, or remove the row"
+            f"all other times fit together, so the time of {place(wrong[0])}{many} is wrong, "
+            f"{times[wrong[0]]:.9g}: correct it, or remove the row"
         )
     runs = np.split(times, back + 1)
     once = np.sort(times[np.r_[True, steps != 0.0]])
@@ -212,8 +212,9 @@ def _wrong_times(times: FloatArray, back: IntArray, usual: float) -> list[int]:
 def _of_tests(of_rows: bool) -> str:
     """Return advice for times that begin again."""
     how = (
-        ' with rows = [FROM, TO], or use split_by = "COLUMN" if a column tells them apart (if it '
-        "is one test whose counter began again, give sample_time instead of time)"
+        ' with rows = [FROM, TO], or use split_by = "COLUMN" if a column names the test of each '
+        "row; if all rows belong to one test, and only its counter began again, give sample_time "
+        "instead of time"
     )
     return (
         "the time begins again there, as in a file with several tests; make an experiment of each "

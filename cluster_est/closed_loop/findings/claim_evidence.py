@@ -215,12 +215,11 @@ def _at_bounds(added: Mapping[str, str], after: Result) -> list[str]:
             f"the fit with the effects ends with {in_a_row(declared)}: an effect may compensate "
             "for a value that the bound excludes, so widen the bound unless it is a physical limit"
         )
-    if own:
+    if own:  # a saturation whose limit is far above the data is a straight line, for example
         said.append(
-            f"the fit ends with {in_a_row(own)}: with a coefficient at a bound, another kind of "
-            "effect may fit equally well (a saturation far above the data is a straight line), so "
-            "the kind of this effect is uncertain; compare the other sets of effects in "
-            "structures.parquet"
+            f"the fit ends with {in_a_row(own)}. At a bound, another kind of effect may fit "
+            "equally well, so the kind of this effect is uncertain; compare it with the other sets "
+            "of effects in structures.parquet"
         )
     return said
 

@@ -65,14 +65,15 @@ def taken_for_definitions(definitions: Sequence[KinematicDefinition]) -> tuple[s
     shown = [f"der({each.state}) = {each.speed}" for each in unsure[:MOST_EQUATIONS]]
     more = len(unsure) - len(shown)
     shown += [f"{more} more"] if more else []
-    taken, state, one = (
-        ("were taken for definitions of rates", "its state", "one of them")
+    taken, these, state, one = (
+        ("were taken for definitions of rates", "these", "its state", "one of these equations")
         if len(unsure) > 1
-        else ("was taken for the definition of a rate", unsure[0].state, "it")
+        else ("was taken for the definition of a rate", "this", unsure[0].state, "this equation")
     )
+    derivatives = f"{these} derivative{'s' if len(unsure) > 1 else ''}"
     return (
-        f"{in_a_row(shown)} {taken}, so no effect was searched there; if {one} is a "
-        f"balance, such as that of a volume or a charge, set "
+        f"{in_a_row(shown)} {taken}, so no effect was searched at {derivatives}; "
+        f"if {one} is a balance, such as that of a volume or a charge, set "
         f'closed_loop.sites = ["der({unsure[0].state})"], or the unit of {state} in model.units',
     )
 

@@ -302,7 +302,8 @@ EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     ),
     "left out": (" may have changed there, so the part after the gap is left out", ""),
     "bridged": (
-        " may have changed there; a straight line, or the last value before it, bridges the gap",
+        " may have changed there; the gap is bridged by a straight line, or by the last value "
+        "before the gap",
         'to start a new part after the gap, set gaps = "split" in the experiment',
     ),
     "before": ("the record begins after the gap", ""),
@@ -334,8 +335,8 @@ def _advice(gap: RecordGap) -> str:
     if not gap.row_step:
         return advice
     clock = (
-        "if the file has all its rows there, the clock was set forward (the other rows are "
-        f"{gap.row_step:.6g} s apart, and no signal jumps); then give sample_time = "
+        "if no row is missing in the gap, the clock was set forward (the other rows are "
+        f"{gap.row_step:.6g} s apart, and no signal jumps); in this case, give sample_time = "
         f"{gap.row_step:.6g}, the seconds between rows, instead of time"
     )
     return f"{clock}; {advice}" if advice else clock

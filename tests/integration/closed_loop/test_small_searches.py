@@ -83,7 +83,7 @@ def test_a_spring_and_a_damper_in_series_are_found():
     assert found.verdict == Verdict.FOUND
     (effect,) = found.effects
     assert (effect.form, effect.effect.variables) == ("store", ("x",))
-    assert effect.words == "an exchange with a hidden store that follows x"
+    assert effect.words == "an exchange with a hidden store that lags behind x"
     values = {c.label.rpartition(".")[2]: c.value for c in effect.coefficients}
     assert values == pytest.approx({"k": 5.0, "tau": 0.4}, rel=0.1)
 

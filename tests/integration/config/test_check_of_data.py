@@ -277,7 +277,7 @@ def test_an_input_that_another_experiment_has_is_no_alarm():
     coast = run(TRUTH, id="coast", inputs={}, values={"w": 50.0})
     (said,) = findings(problem(run(TRUTH), coast), "input V")
     assert said.verdict == "ok"
-    assert "no data in 1 of 2 experiments, and stays at 0 V there" in said.found
+    assert "no data in 1 of 2 experiments, where it stays at 0 V" in said.found
 
 
 def test_a_fit_says_which_inputs_nothing_drives():

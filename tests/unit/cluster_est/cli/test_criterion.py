@@ -96,11 +96,11 @@ def test_anything_else_is_refused_before_there_is_a_document(expression, said):
     [
         ("parameters.mtor.value > 1", "did you mean 'motor'?"),
         ("parameters.motor.R.vlue > 1", "did you mean 'value'?"),
-        ("effects[7] == 'a'", "there is no part 7, because this list has 2 entries"),
-        ("effects.coulomb_v.k > 1", "there is no part 'coulomb_v', because this is a list of 2"),
+        ("effects[7] == 'a'", "there is no entry [7], because the list has 2 entries"),
+        ("effects.coulomb_v.k > 1", "there is no field 'coulomb_v', because the value is a list"),
         (
             "effects[0].family == 'a'",
-            "has no parts",
+            "has no fields",
         ),
         ("verdict > 1", "cannot be compared"),
         ("-verdict == 1", "not a number"),

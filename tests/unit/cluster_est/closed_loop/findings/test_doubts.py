@@ -28,7 +28,7 @@ def at_bound(*estimates):
     [
         (
             at_bound(SHAPE),
-            "half of saturation at input u at its upper bound, 31 m: with a coefficient",
+            "half of saturation at input u at its upper bound, 31 m. At a bound",
         ),
         (at_bound(DECLARED), "k at its upper bound, 9: an effect may compensate for a value"),
         (SLOW, "last fit of the model with the effects did not converge"),
