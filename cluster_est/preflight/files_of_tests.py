@@ -40,7 +40,7 @@ def with_joined_files(
             reason = str(error).removeprefix("init: ")
             return list(tables), (
                 f"{called}: by their names and columns, these are files of one test, but {reason}; "
-                f"so each file became an experiment; if the files are one test, write data = {data}",
+                f"so each file became an experiment; if this is one test, write data = {data}",
             )
         notes.append(f"{called}: joined as the files of one test, {name!r}")
     return (found, tuple(notes)) if groups else (list(tables), ())
