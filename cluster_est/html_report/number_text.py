@@ -59,7 +59,7 @@ def percent(share: float | None, count: int = 3) -> str:
     if share is None or math.isnan(share):
         return NO_NUMBER
     said = digits(100.0 * share, count if abs(share) < 10.0 else 4)
-    if 0.0 < share < 1.0 and float(said) >= 100.0:  # a part is never rounded up to all of it
+    if 0.0 < share < 1.0 and said.startswith("100"):  # a part is never rounded up to all of it
         return percent(share, count + 1) if count < 6 else "more than 99.9\u2009%"
     return f"{said}\u2009%"
 

@@ -45,7 +45,8 @@ static void simulate(Tape *tape, const Program *p) {
         .outputs = {&output, NULL, 1, 0}, .times = times, .intervals = intervals,
         .values = new_numbers(TIMES * u, tape), .slopes = new_numbers(TIMES * u, tape),
         .jumps = jumps, .passed = passed, .n_times = TIMES, .n_inputs = u, .n_outputs = 1};
-    const Settings s = {ONE_OF(tape, 0.0, 0.1), 1e-6, 1e-6, atols, 8, 0.0, 0.0};
+    const Settings s = {
+        ONE_OF(tape, 0.0, 0.1), 1e-6, 1e-6, atols, 8, 0.0, 0.0, (int64_t)ONE_OF(tape, 0.0, 50.0)};
     const Effects effects = {p, new_array(p->n_parameters, sizeof(uint32_t)),
                              new_numbers(1, tape), new_numbers(p->n_coefficients, tape),
                              new_numbers(p->n_base, tape)};

@@ -96,9 +96,11 @@ def test_errors_fall_to_the_noise_in_training_and_held_out(name):
     assert len(result.errors) == len(noise)
     for error in result.errors:
         assert error.rmse_after == pytest.approx(noise[error.experiment, error.output], rel=0.05)
+        # an estimated noise is that of the declared model, before the effects were found
+        rough = 0.02 if name in UNKNOWN else 1e-6
         unit = result.noise[error.output] if name in UNKNOWN else sigma[error.output]
-        assert error.normalised_before * unit == pytest.approx(error.rmse_before)
-        assert error.normalised_after * unit == pytest.approx(error.rmse_after)
+        assert error.normalised_before * unit == pytest.approx(error.rmse_before, rel=rough)
+        assert error.normalised_after * unit == pytest.approx(error.rmse_after, rel=rough)
     for role in ("train", "test"):
         assert result.rms(role, "after") < 0.8 * result.rms(role, "before")
     for output, found in result.noise.items():

@@ -59,7 +59,7 @@ def test_the_site_has_every_page_and_asks_no_other_host_for_anything(site):
     assert [s for s in styles if re.search(r"url\(\s*[\"']?(https?:)?//|@import", s)] == []
     page = (site / "python.html").read_text(encoding="utf-8")  # in the words of the docstrings
     assert "Estimate all parameters of a problem jointly from its training experiments" in page
-    assert "The residuals of the training experiments as a function" in page
+    assert "Return the residuals of the training experiments as a function" in page
 
 
 @pytest.mark.slow
