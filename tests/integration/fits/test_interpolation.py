@@ -123,7 +123,7 @@ def test_an_input_with_few_samples_is_tested_too(values, truth):
         values is slow_sensor and truth == "hold",
     )
     (said,) = [note for note in found.notes if "fits better with input F" in note]
-    assert ("a delay of about one" in said) is found.interpolation.slow
+    assert ("a missing delay of about one" in said) is found.interpolation.slow
     right = ce.fit(with_few_samples(truth, truth, values), resources=ONE)
     assert right.interpolation is None
     assert right.cost < 0.1 * found.cost
