@@ -10,7 +10,7 @@ simulations, apart from a few repeated ones. Parts with unknown consequences cou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,6 +18,8 @@ from unittest.mock import patch
 
 from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
+from cluster_est.closed_loop.screening import screen
+from cluster_est.closed_loop.screening.places import rank_places
 from cluster_est.closed_loop.selection import argument_functions, gates, moves
 from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.answer import without_effects
@@ -39,6 +41,11 @@ WATCHED = {
     LoopPart.BEAM,
     LoopPart.NEXT_BEST,
     LoopPart.SIBLINGS,
+    LoopPart.CURVE_INSTEAD,
+    LoopPart.SWITCHED_CURVES,
+    LoopPart.OTHER_PLACES,
+    LoopPart.OTHER_FORMS,
+    LoopPart.PLACES_FIRST,
     LoopPart.DROP,
     LoopPart.SWITCH_WIDTHS,
     LoopPart.FUNCTIONS_OF_TIME,
@@ -138,7 +145,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
     widths = watched(
         part.SWITCH_WIDTHS, moves.release_widths, lambda left, *given: left is not given[2]
     )
-    siblings = watched(part.SIBLINGS, refit_siblings, lambda found, *_: bool(found))
+    siblings = watched(part.SIBLINGS, refit_siblings, _any_found)
     return {
         gates: {
             "STOPS": [replace(s, refuses=watched(s.part, s.refuses, _said)) for s in gates.STOPS],
@@ -149,21 +156,28 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
         moves: {
             "refit_siblings": siblings,
             "release_widths": widths,
-            "distinct": watched(part.BEAM, moves.distinct, lambda kept, *_: bool(kept)),
+            "_other_forms": watched(part.OTHER_FORMS, moves._other_forms, _any_found),
+            "distinct": watched(part.BEAM, moves.distinct, _any_found),
         },
-        argument_functions: {"refit_siblings": siblings},
+        argument_functions: {
+            "refit_siblings": siblings,
+            "switched_curves": watched(
+                part.SWITCHED_CURVES, argument_functions.switched_curves, _any_found
+            ),
+            "_in_other_places": watched(
+                part.OTHER_PLACES, argument_functions._in_other_places, _any_found
+            ),
+        },
+        screen: {"rank_places": watched(part.PLACES_FIRST, rank_places, _any_found)},
         search: {
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
             "choose": notes.chosen,
             "drop": watched(part.DROP, moves.drop, lambda left, _, begun, given: left is not given),
             "release_widths": widths,
-            "curve_instead": watched(
-                part.FREE_DYNAMICS,
-                watched(
-                    part.FREE_CURVE,
-                    argument_functions.curve_instead,
-                    lambda end, *_: end is not None,
-                ),
+            "curve_instead": _watched_by(
+                notes,
+                (part.CURVE_INSTEAD, part.FREE_CURVE, part.FREE_DYNAMICS),
+                argument_functions.curve_instead,
                 lambda end, *_: end is not None,
             ),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
@@ -180,6 +194,19 @@ def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
         move.part, move.preferred, lambda _, begun, best, own: own.won is not None
     )
     return replace(move, propose=propose, preferred=preferred)
+
+
+def _watched_by(
+    notes: PartNotes, parts: Sequence[LoopPart], call: Calls, changes: Calls
+) -> Calls:
+    """Watch a function that belongs to several parts."""
+    for part in parts:
+        call = notes.watched(part, call, changes)
+    return call
+
+
+def _any_found(found: Sequence[object], *_: object) -> bool:
+    return bool(found)
 
 
 def _said(answer: bool, *_: object) -> bool:

@@ -105,7 +105,7 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
     It is used only if no named effect passes, or if no found effect may be claimed: it contains
     what a switch alone does, and also follows other effects.
     """
-    if not begun.has(LoopPart.FREE_CURVE):
+    if not (begun.has(LoopPart.FREE_CURVE) and begun.has(LoopPart.SWITCHED_CURVES)):
         return []
     curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
     seen = _refitted(fitter, begun, curves, leading_places(curves)[:1])
@@ -202,7 +202,7 @@ def _in_other_places(
     On a trajectory far from the data, many places look alike; on one that is nearly right, they
     differ.
     """
-    if not seen:
+    if not seen or not begun.has(LoopPart.OTHER_PLACES):
         return []
     records = fitter.records
     best = min(seen, key=lambda f: f.criterion(records))
@@ -289,7 +289,7 @@ def curve_instead(fitter: Fitter, first: RoundStart, now: AcceptedStructure) -> 
     free = any(candidate.form.free for candidate in current.added)
     left = not may_leave_noise(first, current)
     tried = first.has(LoopPart.FREE_CURVE) or first.has(LoopPart.FREE_DYNAMICS)
-    if free or not left or not tried:
+    if free or not left or not tried or not first.has(LoopPart.CURVE_INSTEAD):
         return None
     first = with_filters(fitter, first)
     coarse = coarse_curves(fitter, first)

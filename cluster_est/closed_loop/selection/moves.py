@@ -136,7 +136,7 @@ def _other_forms(
 
     Nothing is done if the pair explains too little for a claim; other forms would not change this.
     """
-    if not begun.has(LoopPart.SIBLINGS) or not can_be_claimed(begun, pair.fitted):
+    if not begun.has(LoopPart.OTHER_FORMS) or not can_be_claimed(begun, pair.fitted):
         return []
     found: list[RefittedCandidate] = []
     model = pair.fitted
@@ -153,7 +153,7 @@ def _other_forms(
         ]
         steps = first_steps(fitter, rest, ranking, there[: REFINEMENT.finalists], bound)
         found += Growth(fitter, rest, begun.floor, bound).refit_steps(steps)
-    return [replace(contender, move=LoopPart.SIBLINGS) for contender in found]
+    return [replace(contender, move=LoopPart.OTHER_FORMS) for contender in found]
 
 
 def _grown(
@@ -169,7 +169,7 @@ def _grown(
     """
     accepted = parent is begun.model
     bound = begun.bound(most + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1))
-    further = accepted and _leaves_much(begun)
+    further = accepted and begun.has(LoopPart.LOWER_RANKS) and _leaves_much(begun)
     settings, floor = begun.settings, begun.floor
     found = refit(fitter, parent, ranking, floor, settings, further=further, bound=bound)
     found += refit_siblings(fitter, begun, parent, ranking, found)

@@ -140,7 +140,8 @@ def refit(
     count, trials = settings.refits, settings.trials
     growth = Growth(fitter, current, floor, bound)
     leaders = ranking.leaders(ranking.plain, 2 * trials)
-    white = ranking.leaders(ranking.white, WHITE_LEADERS)
+    whitened = LoopPart.WHITE_LEADERS not in settings.without
+    white = ranking.leaders(ranking.white, WHITE_LEADERS) if whitened else []
     places = list(dict.fromkeys([*leaders[:trials], *white]))
     chosen, left = _mixed(first_steps(fitter, current, ranking, places, bound), count)
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
