@@ -20,11 +20,11 @@ from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
 from cluster_est.closed_loop.screening import screen
 from cluster_est.closed_loop.screening.places import rank_places
-from cluster_est.closed_loop.selection import argument_functions, gates, moves
+from cluster_est.closed_loop.selection import answer, argument_functions, gates, moves, refits
 from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.answer import without_effects
 from cluster_est.closed_loop.selection.argument_functions import refit_siblings
-from cluster_est.closed_loop.selection.rounds import RoundEnd
+from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart, SelectionResult
 from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
@@ -40,6 +40,10 @@ WATCHED = {
     *LAST_RESORT,
     LoopPart.BEAM,
     LoopPart.NEXT_BEST,
+    LoopPart.ADD_TWO,
+    LoopPart.LOWER_RANKS,
+    LoopPart.ANSWER,
+    LoopPart.STRENGTHS,
     LoopPart.SIBLINGS,
     LoopPart.CURVE_INSTEAD,
     LoopPart.SWITCHED_CURVES,
@@ -168,6 +172,14 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
                 part.OTHER_PLACES, argument_functions._in_other_places, _any_found
             ),
         },
+        refits: {
+            "refit_lower_ranks": watched(part.LOWER_RANKS, refits.refit_lower_ranks, _any_found)
+        },
+        answer: {
+            "least_determined": watched(
+                part.STRENGTHS, answer.least_determined, lambda worst, *_: worst is not None
+            )
+        },
         screen: {"rank_places": watched(part.PLACES_FIRST, rank_places, _any_found)},
         search: {
             "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
@@ -180,25 +192,40 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
                 argument_functions.curve_instead,
                 lambda end, *_: end is not None,
             ),
+            "answers": watched(part.ANSWER, answer.answers, _replaced),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
         },
     }
 
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
-    """Watch moves of last resort; other moves always count."""
-    if move.part not in LAST_RESORT:
+    """Watch moves of last resort, and `ADD_TWO`; the move `ADD` always counts.
+
+    Refused pairs have an influence only if `EXCLUDE` can use them.
+    """
+    if move.part is LoopPart.ADD:
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
     preferred = notes.watched(
-        move.part, move.preferred, lambda _, begun, best, own: own.won is not None
+        move.part, move.preferred, _wins if move.part in LAST_RESORT else _wins_or_is_used
     )
     return replace(move, propose=propose, preferred=preferred)
 
 
-def _watched_by(
-    notes: PartNotes, parts: Sequence[LoopPart], call: Calls, changes: Calls
-) -> Calls:
+def _wins(_: RoundEnd, _begun: RoundStart, _best: RoundEnd, own: RoundEnd) -> bool:
+    return own.won is not None
+
+
+def _wins_or_is_used(kept: RoundEnd, begun: RoundStart, best: RoundEnd, own: RoundEnd) -> bool:
+    return kept is own or (best.won is None and bool(begun.model.added))
+
+
+def _replaced(ends: Sequence[SelectionResult], _: Fitter, grown: SelectionResult) -> bool:
+    """Return whether the answer is not the last structure, or may be replaced later."""
+    return len(ends) > 1 or ends[0].current is not grown.current
+
+
+def _watched_by(notes: PartNotes, parts: Sequence[LoopPart], call: Calls, changes: Calls) -> Calls:
     """Watch a function that belongs to several parts."""
     for part in parts:
         call = notes.watched(part, call, changes)

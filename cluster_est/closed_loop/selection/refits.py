@@ -151,10 +151,21 @@ def refit(
     if not further or growth.closed_by(best):
         return contenders
     later = [i for i in leaders[trials:] if i not in places]
-    left += first_steps(fitter, current, ranking, later, bound)
-    left.sort(key=lambda step: step.sse)
-    contenders += growth.refit_steps(left[:count])
+    contenders += refit_lower_ranks(fitter, growth, ranking, later, left, count)
     return sorted(contenders, key=lambda c: c.criterion)
+
+
+def refit_lower_ranks(
+    fitter: Fitter,
+    growth: Growth,
+    ranking: CandidateRanking,
+    later: Sequence[int],
+    left: Sequence[FirstStep],
+    count: int,
+) -> list[RefittedCandidate]:
+    """Refit the best `count` of later candidates and of those whose first steps are `left`."""
+    steps = [*left, *first_steps(fitter, growth.current, ranking, later, growth.bound)]
+    return growth.refit_steps(sorted(steps, key=lambda step: step.sse)[:count])
 
 
 def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
