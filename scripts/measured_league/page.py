@@ -29,8 +29,9 @@ Each case has a public data set and a base model from a textbook. The base model
 which the textbook's full model contains. `cluster-est close-loop` searches for missing effects
 without knowing this effect. On this page, such a search is called a loop. The base model and the
 textbook's model are fitted to the same data. Errors are root mean squares over all samples of all
-outputs and records. Held-out data are not used for any choice. If the initial state of a held-out
-record is unknown, it is fitted to the record for each of the three models.
+outputs and records. Nothing is chosen by held-out errors; they can only veto effects. If the
+initial state of a held-out record is unknown, it is fitted to the record for each of the three
+models.
 
 The splits, base models and effects were chosen with knowledge of all data. For this reason, the
 difference between the base model and the textbook's model is optimistic. Any setting may have been
@@ -45,6 +46,20 @@ By definition, a loop adds effects only if they remove at least half of the erro
 both on training and on held-out data. This is three quarters of the sum of squares. Otherwise, the
 verdict is `unexplained`, and the loop names the best candidate as a hint. If the textbook's own
 effect does not halve the error, the verdict `unexplained` is not a failure.
+"""
+
+PATHS = """## Held-out errors along the path
+
+The table shows the held-out error, divided by the noise, of every structure that a search accepted,
+in the order of acceptance. The first structure is the base model. After it, `+` marks effects that
+were added to the structure before, and `-` marks effects that were dropped from it. The base model
+and the answer have the values of the last fits, and the other structures have those of the search.
+The last column is the error of the answer divided by the least error of its path, which includes
+the answer. A dash means that no effect was accepted, or that there is no held-out error.
+
+This is a figure only: nothing is chosen by held-out errors. The held-out data can only veto an
+answer. Then an earlier answer of the search or the base model takes its place, so after a veto, the
+ratio also depends on the held-out data.
 """
 
 
@@ -113,25 +128,37 @@ def page_text(
 
 def _paths(found: Sequence[CaseFigures]) -> str:
     """The held-out error of every structure that a search accepted; nothing is chosen by it."""
-    rows, ratios = [], []
+    rows: list[list[str]] = []
+    ratios: dict[str, float] = {}
     for each in found:
-        if not each.loop or not each.loop.path:
+        loop, name = each.loop, each.case.name
+        if loop is None or not math.isfinite(loop.over_least):
+            rows.append([name, "-", "-", "-"])
             continue
-        path, answer = each.loop.path, each.loop.answer
-        ratios.append(answer / min(path.values()))
-        named = "; ".join(f"{' + '.join(labels)}: {number(e)}" for labels, e in path.items())
-        rows.append([each.case.name, named, number(answer), number(ratios[-1])])
-    if not rows:
+        ratios[name] = loop.over_least
+        rows.append([name, _steps(loop.path), number(loop.answer), number(ratios[name])])
+    if not ratios:
         return ""
-    text = (
-        "The table shows the held-out errors, divided by the noise, of the structures that each "
-        "search accepted, in their order, and of its answer. These errors are not used for any "
-        "choice. The error of the answer is "
-        f"{number(median(ratios))} times the smallest error along its path (median), and at most "
-        f"{number(max(ratios))} times."
+    worst = max(ratios, key=ratios.__getitem__)
+    line = (
+        f"Over {len(ratios)} cases, the held-out error of the answer is "
+        f"{number(median(ratios.values()))} times the least held-out error of its path (median), "
+        f"and {number(ratios[worst])} times in the worst case ({worst})."
     )
-    head = ["case", "accepted structures", "answer", "answer / least"]
-    return f"## Held-out errors along the path\n\n{text}\n\n{table(head, rows)}"
+    head = ["case", "structures", "answer", "answer / least"]
+    return "\n\n".join((PATHS.rstrip(), line, table(head, rows)))
+
+
+def _steps(path: Mapping[tuple[str, ...], float]) -> str:
+    """The structures of a path with their errors, each by its difference to the one before it."""
+    said: list[str] = []
+    before: tuple[str, ...] = ()
+    for labels, error in path.items():
+        changes = [f"- `{label}`" for label in before if label not in labels]
+        changes += [f"+ `{label}`" for label in labels if label not in before]
+        said.append(f"{' '.join(changes) if labels else 'base model'}: {number(error)}")
+        before = labels
+    return "; ".join(said)
 
 
 def _official(each: CaseFigures, known: CaseJudgements) -> str:

@@ -167,7 +167,8 @@ class LoopFigures:
     Attributes
     ----------
     path
-        Held-out errors over their noise of the structures that the search accepted, by labels.
+        Held-out errors over their noise, by labels: the base model, which has no label, then the
+        structures that the search accepted, in this order. NaN where there is none.
     answer
         The same of its answer, which may be the base model.
     """
@@ -177,6 +178,18 @@ class LoopFigures:
     effects: tuple[NamedEffect, ...]
     path: Mapping[tuple[str, ...], float] = field(default_factory=dict)
     answer: float = math.nan
+
+    @property
+    def over_least(self) -> float:
+        """The answer's held-out error over the least of the path and the answer.
+
+        NaN if the search accepted no effect, or if there is no held-out error.
+        """
+        accepted = [error for labels, error in self.path.items() if labels]
+        if not any(map(math.isfinite, accepted)):
+            return math.nan
+        errors = (*self.path.values(), self.answer)
+        return self.answer / min(error for error in errors if math.isfinite(error))
 
 
 @dataclass(frozen=True)
@@ -218,7 +231,7 @@ def read_case(case: LeagueCase, out: Path) -> CaseFigures:
         textbook,
         None
         if loop is None
-        else _loop(loop, facts[Kind.LOOP] or {}, _path(run_folder(out, case, Kind.LOOP))),
+        else _loop(loop, facts[Kind.LOOP] or {}, _accepted(run_folder(out, case, Kind.LOOP))),
         _noise(facts[Kind.LOOP], facts[Kind.BASE]),
         tuple(errors_by_record(out, case, kind) for kind in (Kind.BASE, Kind.LOOP)),
     )
@@ -247,9 +260,18 @@ def _figures(
     )
 
 
-def _path(folder: Path) -> dict[tuple[str, ...], float]:
+def _accepted(folder: Path) -> dict[tuple[str, ...], float]:
+    """The structures that a search accepted, also those that its answer has left again.
+
+    The latter are no longer marked as accepted, but only accepted structures have the error of
+    cross-validation. If a structure has several rows, only the last one has its errors.
+    """
     rows = pq.read_table(folder / "structures.parquet").to_pylist()
-    return {tuple(r["effects"]): r["held_out"] for r in rows if math.isfinite(r["held_out"])}
+    return {
+        tuple(row["effects"]): row["held_out"]
+        for row in rows
+        if row["effects"] and (row["accepted"] or math.isfinite(row["left_out"]))
+    }
 
 
 def errors_by_record(out: Path, case: LeagueCase, kind: Kind) -> dict[str, float]:
@@ -263,14 +285,15 @@ def errors_by_record(out: Path, case: LeagueCase, kind: Kind) -> dict[str, float
 
 
 def _loop(
-    figures: RunFigures, facts: Mapping[str, Any], path: Mapping[tuple[str, ...], float]
+    figures: RunFigures, facts: Mapping[str, Any], accepted: Mapping[tuple[str, ...], float]
 ) -> LoopFigures:
     effects = tuple(
         NamedEffect(effect_name(each["form"], each["site"], each["variables"]), each["equation"])
         for each in facts["effects"]
     )
-    answer = facts["errors"]["test"]["after"]
-    return LoopFigures(figures, facts["verdict"], effects, path, answer or math.nan)
+    errors = facts["errors"]["test"]
+    base, answer = (math.nan if errors[w] is None else errors[w] for w in ("before", "after"))
+    return LoopFigures(figures, facts["verdict"], effects, {(): base, **accepted}, answer)
 
 
 def effect_name(form: str, site: str, variables: Iterable[str]) -> str:

@@ -1,6 +1,11 @@
+import json
 import math
+import re
 import tomllib
+from dataclasses import replace
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from measured_league.cases import (
     CONVERSIONS,
@@ -28,6 +33,7 @@ from measured_league.runs import (
     RunFigures,
     effect_name,
     pooled,
+    read_case,
 )
 
 from cluster_est.config.reader import parse_config
@@ -136,3 +142,75 @@ def test_the_page_has_every_case_with_its_figures_and_words():
     assert "| the loop increased the held-out error | 0 of 1 |" in text
     alone = CaseFigures(CASES["ur5e"], None, None, None, math.nan)
     assert "Some runs have not ended for these cases: ur5e." in page_text([alone], {}, {})
+
+
+def searched(name: str, path: dict[tuple[str, ...], float], answer: float) -> CaseFigures:
+    """The made-up case with another name, and a loop with these held-out errors."""
+    each = figures(0.1, (DRAG,), "partial")
+    assert each.loop is not None
+    loop = replace(each.loop, path=path, answer=answer)
+    return replace(each, case=CASES[name], loop=loop)
+
+
+def test_the_page_has_held_out_errors_along_each_path_and_how_far_answers_are_from_the_least():
+    nan = math.nan
+    found = [
+        searched("emps", {(): 80.0, ("a",): 20.0, ("a", "b"): 10.0, ("b", "c"): 12.0}, 12.0),
+        searched("furuta", {(): 8.0, ("a",): nan, ("a", "b"): 4.0}, 3.9),  # the last fit is better
+        searched("house", {(): 9.0, ("a",): 3.0}, 9.0),  # a veto
+        searched("rocket", {(): 2.0}, 2.0),
+        searched("tclab", {(): nan, ("a",): nan}, nan),
+        CaseFigures(CASES["ur5e"], None, None, None, nan),
+    ]
+    text = page_text(found, read_judgements(), {})
+    steps = "base model: 80; + `a`: 20; + `b`: 10; - `a` + `c`: 12"
+    assert f"| emps | {steps} | 12 | 1.2 |" in text
+    assert "| furuta | base model: 8; + `a`: -; + `b`: 4 | 3.9 | 1 |" in text
+    assert "| house | base model: 9; + `a`: 3 | 9 | 3 |" in text
+    assert all(f"| {name} | - | - | - |" in text for name in ("rocket", "tclab", "ur5e"))
+    said = "Over 3 cases, .* 1.2 times .* \\(median\\), and 3 times in the worst case \\(house\\)"
+    assert re.search(said, text)
+    assert "nothing is chosen by held-out errors. The held-out data can only veto" in text
+    assert "along the path" not in page_text(found[3:], read_judgements(), {})
+
+
+def written_run(folder, structures, errors):
+    """Write the files of a loop that the page reads."""
+    folder.mkdir(parents=True)
+    named = ("effects", "accepted", "left_out", "held_out")
+    rows = [dict(zip(named, row, strict=True)) for row in structures]
+    pq.write_table(pa.Table.from_pylist(rows), folder / "structures.parquet")
+    row = {"role": "test", "experiment": "e", "samples": 1, "rmse_after": 1.0, "unit": "m"}
+    pq.write_table(pa.Table.from_pylist([row]), folder / "errors.parquet")
+    run = {"status": "done", "simulations": 1, "seconds": 1.0, "verdict": "partial", "effects": []}
+    facts = run | {"noise": {}, "errors": {"test": errors}}
+    (folder / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+
+
+def test_a_path_has_the_base_model_and_all_that_was_accepted_but_nothing_else(tmp_path):
+    nan = math.nan
+    structures = [
+        (["a"], True, nan, nan),  # compared again below
+        (["x"], False, nan, nan),
+        (["a", "b"], True, 0.2, 5.0),
+        (["a"], False, 0.3, 7.0),
+        (["a", "b", "c"], False, 0.4, 6.0),  # accepted, but not the answer
+        (["a", "c"], True, nan, nan),  # what remained after an effect was dropped
+    ]
+    written_run(tmp_path / "emps" / "loop", structures, {"before": 9.0, "after": 5.5})
+    loop = read_case(CASES["emps"], tmp_path).loop
+    assert loop is not None
+    known = {(): 9.0, ("a",): 7.0, ("a", "b"): 5.0, ("a", "b", "c"): 6.0}
+    assert list(loop.path) == [*known, ("a", "c")]
+    assert {own: loop.path[own] for own in known} == known
+    assert math.isnan(loop.path["a", "c"])
+    assert loop.answer == 5.5
+    assert loop.over_least == pytest.approx(1.1)
+
+
+def test_a_loop_without_held_out_data_has_no_ratio(tmp_path):
+    structures = [(["a"], True, 0.3, math.nan)]
+    written_run(tmp_path / "emps" / "loop", structures, {"before": None, "after": None})
+    loop = read_case(CASES["emps"], tmp_path).loop
+    assert loop is not None
+    assert math.isnan(loop.over_least)
