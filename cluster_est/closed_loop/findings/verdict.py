@@ -395,6 +395,8 @@ def confirmed(
     judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
 ) -> ReasonedVerdict:
     """Return the verdict after the last fits, from the training and the held-out errors."""
+    if judged.verdict is Verdict.NONE:
+        return _without_more_held_out(judged, errors)
     if judged.verdict not in CLAIMS:
         return judged
     against = veto(judged, errors, settings)
@@ -421,6 +423,23 @@ def confirmed(
         verdict = Verdict.PARTIAL
         said += ", so it is not known whether everything was found"
     return replace(judged, verdict=verdict, reason=in_sentences((said, judged.reason)))
+
+
+def _without_more_held_out(
+    judged: ReasonedVerdict, errors: Sequence[ErrorChange]
+) -> ReasonedVerdict:
+    """Return the verdict "none", but "unexplained" if it does not hold for the held-out data."""
+    errors = over_noise(errors, judged.noise)
+    if judged.filtered or not _more_held_out(errors, judged.independent):
+        return judged
+    more = ", which is significantly more than in any training experiment"
+    why = (
+        "either the model lacks something that only the held-out experiments show, or the training "
+        "experiments do not determine its parameters well enough"
+    )
+    training = f"in the training experiments, {judged.reason}"
+    reason = in_sentences((what_is_left(errors, judged.over, more), why, training))
+    return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
 
 
 def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:

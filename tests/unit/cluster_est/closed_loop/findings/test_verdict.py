@@ -491,3 +491,22 @@ def test_added_effects_that_are_expensive_are_named():
     others = [structure("b", 31.4), structure("c", 7.0)]
     (said,) = expensive_structures([structure("a", 9.0, accepted=True), *others])
     assert said.startswith("with a at der(v), a simulation takes 9 times as many solver steps")
+
+
+@pytest.mark.parametrize(
+    ("held_out", "verdict"), [(1.1, Verdict.NONE), (2.2, Verdict.UNEXPLAINED)]
+)
+def test_nothing_is_missing_only_if_the_held_out_data_agree(held_out, verdict):
+    nothing = ReasonedVerdict(Verdict.NONE, "no candidate effect improves the fit significantly")
+    judged = confirmed(nothing, changes((1.0, 1.0), (held_out, held_out)), LoopSettings())
+    assert judged.verdict is verdict
+    said = f"1.00 times the noise on training data and {held_out:.2f} times on held-out data"
+    if verdict is Verdict.UNEXPLAINED:
+        assert said in judged.reason
+        assert "In the training experiments, no candidate effect" in judged.reason
+
+
+def test_few_held_out_samples_may_be_far_off_by_chance():
+    nothing = ReasonedVerdict(Verdict.NONE, "no candidate effect improves the fit significantly")
+    errors = [replace(each, samples=3) for each in changes((1.0, 1.0), (2.2, 2.2))]
+    assert confirmed(nothing, errors, LoopSettings()).verdict is Verdict.NONE
