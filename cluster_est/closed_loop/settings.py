@@ -81,6 +81,7 @@ class LoopPart(enum.StrEnum):
     SIGNIFICANCE = "significance"
     COLOURED_NOISE = "coloured noise"
     CURVE_ENDS = "curve ends"
+    OUT_OF_REACH = "out of reach"
     CRITERION = "criterion"
     WAVES = "waves"
     BOUNDED = "bounded"

@@ -136,7 +136,7 @@ def refit_filters(
     """
     if not begun.has(LoopPart.FREE_DYNAMICS):
         return []
-    least = begun.bound(sse=claimable_sse(begun, begun.settings.max_effects))
+    least = begun.bound(sse=claimable_sse(begun))
     ranking = begun.screening.ranking
     trials = [trial for trial in ranking.trials if trial.candidate.form.is_dynamics]
     leaders = [
@@ -179,7 +179,7 @@ def finer_curves(
     """
     records, alternative = fitter.records, REFINEMENT.alternative
     prunes = begun.has(LoopPart.PRUNING)
-    claim = claimable_sse(begun, begun.settings.max_effects) if prunes else np.inf
+    claim = claimable_sse(begun) if prunes else np.inf
     bound = replace(bound, sse=min(bound.sse, claim))
     going = [curve.fitted for curve in coarse]
     seen: list[FittedModel] = []

@@ -37,6 +37,7 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     SelectionRound,
     leaves_more_than_noise,
+    out_of_reach,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.records import StackedRecords
@@ -192,6 +193,12 @@ STOPS = (
         lambda begun: len(begun.model.added) >= begun.settings.max_effects,
         RejectionReason.LIMIT_OF_EFFECTS,
         "setting: max_effects",
+    ),
+    Stop(
+        LoopPart.OUT_OF_REACH,
+        lambda begun: out_of_reach(begun),
+        RejectionReason.OUT_OF_REACH,
+        "theory: greedy selection, if effects explain no more together than alone",
     ),
     Stop(
         LoopPart.CURVE_ENDS,

@@ -493,9 +493,7 @@ def test_added_effects_that_are_expensive_are_named():
     assert said.startswith("with a at der(v), a simulation takes 9 times as many solver steps")
 
 
-@pytest.mark.parametrize(
-    ("held_out", "verdict"), [(1.1, Verdict.NONE), (2.2, Verdict.UNEXPLAINED)]
-)
+@pytest.mark.parametrize(("held_out", "verdict"), [(1.1, Verdict.NONE), (2.2, Verdict.UNEXPLAINED)])
 def test_nothing_is_missing_only_if_the_held_out_data_agree(held_out, verdict):
     nothing = ReasonedVerdict(Verdict.NONE, "no candidate effect improves the fit significantly")
     judged = confirmed(nothing, changes((1.0, 1.0), (held_out, held_out)), LoopSettings())

@@ -288,3 +288,29 @@ def test_the_share_that_is_closed_has_no_unit(quarters):
         assert before.closes(before) == 0.0
         nothing = replace(before, squares=np.full(4, 0.1 * unit))
         assert nothing.closes(before, 0.4 * unit) == pytest.approx(1.0)
+
+
+def stopped_at(squares, *effects, most=3, without=()):
+    """Why a search stops at a structure that leaves these squares of 10,000, 100 of them noise."""
+    begun = begun_at(fit_with_squares(PROBLEM, squares, effects))
+    settings = LoopSettings(max_effects=most, without=without)
+    return reason_to_stop(replace(begun, settings=settings))
+
+
+@pytest.mark.parametrize(
+    ("squares", "effects", "most", "stops"),
+    [
+        (7_600.0, (WRONG,), 3, True),  # a quarter of 9,900 is 2,475
+        (7_500.0, (WRONG,), 3, False),
+        (7_600.0, (WRONG,), 4, False),
+        (5_100.0, (WRONG, RIGHT), 3, True),
+        (5_000.0, (WRONG, RIGHT), 3, False),
+        (NOTHING, (), 3, False),
+    ],
+)
+def test_a_search_ends_if_its_best_effects_explain_less_than_their_share(
+    squares, effects, most, stops
+):
+    out = RejectionReason.OUT_OF_REACH
+    assert stopped_at(squares, *effects, most=most) is (out if stops else None)
+    assert stopped_at(squares, *effects, most=most, without=(LoopPart.OUT_OF_REACH,)) is None
