@@ -15,7 +15,7 @@ import sympy as sp
 from cluster_est.model_export.wrapper_layout import Kind, WrapperLayout
 from workers.core.assemble import EffectArray, Registers, assemble
 from workers.core.library import TYPES
-from workers.effects.definition import known_decay, known_rates
+from workers.effects.definition import EffectDefinition, known_decay, known_rates
 from workers.effects.expression import Max
 from workers.effects.outputs import assigned, output_code, output_locations
 from workers.effects.signal_memory import MEMORIES
@@ -23,6 +23,8 @@ from workers.fmu.variable import ModelVariable
 from workers.messages import Value
 
 TABLE_MARK = b"CEWRAP1\0"
+NO_HISTORY = -1
+"""Of an effect at an output that is neither a delay nor a backlash; see `table.h`."""
 
 
 def wrapper_table(layout: WrapperLayout, guid: str) -> bytes:
@@ -230,15 +232,19 @@ def _effects(layout: WrapperLayout) -> list[bytes]:
 def _memory(layout: WrapperLayout, index: int) -> tuple[int, ...]:
     effect = layout.effect(index)
     column = layout.columns.index(effect.site.target)
-    return list(MEMORIES).index(effect.form.memory), column, layout.repair.positions[index]
+    return _kind_of_memory(effect), column, layout.repair.positions[index]
+
+
+def _kind_of_memory(effect: EffectDefinition) -> int:
+    return list(MEMORIES).index(effect.form.memory)
 
 
 def _output_effect(layout: WrapperLayout, index: int) -> tuple[int, ...]:
     effect, position = layout.effect(index), layout.repair.positions[index]
     column = layout.row.index(effect.site.target)
-    delay = position if effect.form.memory else -1
+    memory = _kind_of_memory(effect) if effect.form.memory else NO_HISTORY
     first = layout.first_output_state(index) - layout.n_inner_states
-    return column, delay, first, len(effect.states), position, len(effect.coefficients)
+    return column, memory, first, len(effect.states), position, len(effect.coefficients)
 
 
 def _output_programs(layout: WrapperLayout, index: int) -> tuple[bytes, bytes]:

@@ -88,6 +88,8 @@ def effects_of(kind, group="function"):
         shape = 2.0 if name == "hysteresis" else 0.04  # slow: its steps follow the whole record
         own = known | ({"width": 0.5} if name == "exponential" else {})  # else it runs away
         own |= {"n": 2.0} if name == "hill_power" else {}  # of a smaller one it is a step at zero
+        if (kind, name) == ("output", "backlash"):  # a larger one is never crossed
+            own |= {"k": 0.01}
         values += [own.get(c.name, 0.3 if c.neutral == 0.0 else shape) for c in form.coefficients]
     return effects, values
 

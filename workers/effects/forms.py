@@ -54,6 +54,7 @@ _OSCILLATES = (FormCondition.OSCILLATES,)
 _OWN = (FormCondition.OWN,)
 _OWN_OSCILLATES = (FormCondition.OWN, FormCondition.OSCILLATES)
 _DRIVEN = (FormCondition.DRIVEN,)
+_REVERSES = (FormCondition.REVERSES,)
 _DRIVEN_OSCILLATES = (FormCondition.DRIVEN, FormCondition.OSCILLATES)
 _DIFFERENCE_OSCILLATES = (FormCondition.DIFFERENCE, FormCondition.OSCILLATES)
 
@@ -126,6 +127,11 @@ _ZERO = FormCoefficient(
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
+_QUICK = FormCoefficient(
+    "tau", None, positive=True, scale=GridScale.STEP, grid=(0.1,), held=True, unit="second"
+)
+"""Lag of a signal that stands for the signal itself: much shorter than what the data show, but not
+so short that a solver must take many more steps."""
 _COLOURED = (
     FormCoefficient("q", positive=True, unit="site / second^0.5"),
     _shape("tau", "second", GridScale.STEP, 10.0),
@@ -168,6 +174,14 @@ with tau w = 2 radians within the delay, the error is 2e-4 of the amplitude; wit
 There is no direct feed-through, so a state may depend on its own delayed value."""
 _TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
+_BENT = (
+    OwnState("y", "(s - y) / tau", "s"),
+    OwnState("z", "(s - y - abs(s - y) * z) / tau / x0", "0"),
+)
+"""Hysteresis of a signal, z' = (y' - |y'| z) / x0 (P. Dahl, AIAA J. 14 (1976) 1675-1682,
+doi:10.2514/3.61511), which is also the law of Bouc and Wen with exponent 1. A form does not know
+the rate of its signal, so y follows the signal within a fraction of a step. A lag never overshoots,
+so even after a jump y goes the way of the signal, and z depends only on this way."""
 
 _VALUES = 7
 """Number of values of a free curve. Finer curves have two and four times as many steps between
@@ -490,7 +504,13 @@ _SIGNALS = (
     EffectForm("periodic", "nonlinearity", Law.PERIODIC_ERROR, _OUT,
          "s + a * sin(n * s) + b * cos(n * s)",
          _wave("site", _shape("n", "rad / site", GridScale.WAVES_V, *_WAVES)), order=1.5),
-    EffectForm("backlash", "nonlinearity", Law.BACKLASH, _IN, "s", (_LEVEL,), memory="backlash"),
+    # play in a linkage before an actuator's load, or before a sensor
+    EffectForm("backlash", "nonlinearity", Law.BACKLASH, _SIGNAL, "s", (_LEVEL,),
+         memory="backlash", when=_REVERSES),
+    # for piezo actuators, solenoids and valves
+    EffectForm("hysteresis", "memory", Law.HYSTERESIS_OF_SIGNAL, _IN, "s + k * z",
+         (_k("site"), _shape("x0", "site", GridScale.MAX_S, 0.1, 0.4, 1.5), _QUICK), 0, _BENT,
+         when=_REVERSES, order=1.0),
     EffectForm("rate_limit", "limit", Law.RATE_LIMIT, _IN, "s", (_RATE,), memory="rate_limit"),
     EffectForm("rate_limit_from_rest", "limit", Law.RATE_LIMIT_FROM_REST, _IN,
          "s", (_RATE,), memory="rate_limit_from_rest",

@@ -117,6 +117,9 @@ class FormCondition(enum.Enum):
     FROM_REST = "from rest"
     """In some experiment, the signal at the site is not zero at the start. It may have jumped to
     this value at the start, or it may have had this value before."""
+    REVERSES = "reverses"
+    """In some experiment, the signal at the site clearly rises and falls. An effect that shows only
+    when a signal turns cannot otherwise be told from an offset or a characteristic."""
     STATE = "state"
     """The variable is a state and not a difference."""
     DRIVEN = "driven"

@@ -91,6 +91,7 @@ class Law(enum.Enum):
     CUT_OFF = "a cut-off of small values"
     PERIODIC_ERROR = "a part that is periodic in the signal"
     BACKLASH = "backlash"
+    HYSTERESIS_OF_SIGNAL = "a hysteresis"
     RATE_LIMIT = "a rate limit"
     RATE_LIMIT_FROM_REST = "a rate limit, from a start at zero"
     SATURATION = "saturation on both sides"

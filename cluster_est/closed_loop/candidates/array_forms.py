@@ -31,7 +31,10 @@ Function = Callable[..., Any]
 
 @dataclass(frozen=True)
 class _SingleState:
-    """z' = drive - rate * z, where drive and rate are functions of signals and coefficients."""
+    """z' = drive - rate * z, where drive and rate are functions of signals and coefficients.
+
+    States before it count as signals.
+    """
 
     drive: Function
     rate: Function
@@ -49,7 +52,7 @@ class _CoupledStates:
 
 @dataclass(frozen=True)
 class OwnStates:
-    """The internal states of a form: each alone, or coupled if they act on each other."""
+    """The internal states of a form: one after the other, or coupled if they act on each other."""
 
     _single: tuple[_SingleState, ...]
     _coupled: _CoupledStates | None
@@ -60,33 +63,38 @@ class OwnStates:
         """Return each state along the arguments; the first argument is the time."""
         if self._coupled is not None:
             return list(_follow_coupled(self._coupled, arguments, coefficients))
-        return [_follow(state, arguments, coefficients) for state in self._single]
+        found: list[FloatArray] = []
+        for state in self._single:
+            found.append(_follow(state, [*arguments, *found], coefficients))
+        return found
 
 
 def own_states_of(
     form: EffectForm, arguments: Sequence[str], symbols: Mapping[str, sp.Symbol], where: str
 ) -> OwnStates:
-    """Make the internal states of a library form; their equations are linear in these states."""
+    """Make the internal states of a library form; each equation is linear in its own state."""
     own = [symbols[z.name] for z in form.states]
     derivatives = [parse(z.derivative, symbols, where) for z in form.states]
     starts = [parse(z.start, symbols, where) for z in form.states]
     coefficients = [symbols[c.name] for c in form.coefficients]
     order = [*(symbols[name] for name in arguments), *coefficients]
     others = [set(own) - {z} for z in own]
-    if any(d.free_symbols & rest for d, rest in zip(derivatives, others, strict=True)):
-        matrix = sp.Matrix(derivatives).jacobian(own)
+    coupled = any(d.free_symbols & rest for d, rest in zip(derivatives, others, strict=True))
+    matrix = sp.Matrix(derivatives).jacobian(own) if coupled else sp.Matrix()
+    if coupled and matrix.free_symbols <= set(coefficients):
         drives = sp.simplify(sp.Matrix(derivatives) - matrix * sp.Matrix(own))
-        coupled = _CoupledStates(
+        states = _CoupledStates(
             sp.lambdify(coefficients, matrix, "numpy"),
             tuple(sp.lambdify(order, drive, "numpy") for drive in drives),
             tuple(sp.lambdify(order, start, "numpy") for start in starts),
         )
-        return OwnStates((), coupled)
+        return OwnStates((), states)
     single = []
-    for z, derivative, start in zip(own, derivatives, starts, strict=True):
+    for i, (z, derivative, start) in enumerate(zip(own, derivatives, starts, strict=True)):
         rate = -sp.diff(derivative, z)
         drive = sp.expand(derivative + rate * z)
-        parts = (sp.lambdify(order, sp.simplify(e), "numpy") for e in (drive, rate, start))
+        known = [*(symbols[name] for name in arguments), *own[:i], *coefficients]
+        parts = (sp.lambdify(known, sp.simplify(e), "numpy") for e in (drive, rate, start))
         single.append(_SingleState(*parts))
     return OwnStates(tuple(single), None)
 

@@ -19,6 +19,10 @@ BOTH_SIGNS = 0.15
 """Share of its rms that a signal must reach on both sides of zero to count as oscillating.
 Benchmark."""
 
+TURNS = 0.15
+"""Share of its range by which a signal must both rise and fall within one experiment to count as
+turning back. By definition, like `BOTH_SIGNS`: far above noise and the overshoot of a step."""
+
 SHORTEST_TIME = 0.1
 """Smallest time constant, of a lag or of a state that acts on its own derivative, as a share of the
 interval between measurements, or of the communication step if that is longer. Signal: for the data,
@@ -45,6 +49,8 @@ class SignalScales:
         """Return whether a form makes sense for these signals."""
         about = self._about(site, variables)
         if FormCondition.FROM_REST in form.when and not self._begins(site.target):
+            return False
+        if FormCondition.REVERSES in form.when and not self._reverses(site.target):
             return False
         moving = variables[:1] if FormCondition.AROUND in form.when else variables
         others = [self._pooled(name) for name in moving[1:]]
@@ -155,6 +161,16 @@ class SignalScales:
         starts = [each.signal(name)[0] for each in self.trajectories if each.has(name)]
         reach = 1e-6 * float(np.abs(self._pooled(name)).max())
         return bool(np.abs(starts).max() > reach)
+
+    def _reverses(self, name: str) -> bool:
+        """Return whether a signal clearly rises and falls in some experiment."""
+        signals = [each.signal(name) for each in self.trajectories if each.has(name)]
+        least = TURNS * float(np.ptp(self._pooled(name)))
+        return any(
+            (s - np.minimum.accumulate(s)).max() > least
+            and (np.maximum.accumulate(s) - s).max() > least
+            for s in signals
+        )
 
     def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
         """The signal that a form changes: its variable, or without one the signal at the site."""

@@ -88,6 +88,45 @@ def test_a_spring_and_a_damper_in_series_are_found():
     assert values == pytest.approx({"k": 5.0, "tau": 0.4}, rel=0.1)
 
 
+def retraced(force: np.ndarray, x0: float) -> np.ndarray:
+    """The state of a hysteresis, which depends on the way of the force alone."""
+    states = [0.0]
+    for moved in (np.diff(force) / x0).tolist():
+        states.append(np.sign(moved) + (states[-1] - np.sign(moved)) * np.exp(-abs(moved)))
+    return np.array(states)
+
+
+def test_a_hysteresis_of_an_actuator_is_found():
+    problem = driven_by(*2 * [lambda t, f: f - 0.6 * retraced(f, 2.0)])
+    forms = settings("input F", "hysteresis", "backlash", "lag", max_effects=1)
+    found = ce.close_loop(problem, settings=forms)
+    assert found.verdict == Verdict.FOUND
+    (effect,) = found.effects
+    assert (effect.form, effect.words) == ("hysteresis", "a hysteresis")
+    values = {c.label.rpartition(".")[2]: c.value for c in effect.coefficients}
+    assert (values["k"], values["x0"]) == pytest.approx((-0.6, 2.0), rel=0.1)
+
+
+def test_play_before_a_sensor_is_found():
+    """The position is seen behind a play of 8 mm to each side."""
+    problem = driven_by(*2 * [lambda t, f: f])
+    runs, generator = [], np.random.default_rng(4)
+    for run in problem.experiments:
+        (given,), (shown,) = run.inputs, run.outputs
+        moved = solve(plain, (0.1, 0.0), given.times, given.values)[:, 0]
+        y = [moved[0]]
+        for x in moved[1:].tolist():
+            y.append(min(max(y[-1], x - 0.008), x + 0.008))
+        seen = np.array(y) + 0.002 * generator.standard_normal(len(y))
+        runs.append(replace(run, outputs=(replace(shown, values=seen),)))
+    forms = settings("output y", "backlash", "lag", "dead_zone", "gain", max_effects=1)
+    found = ce.close_loop(replace(problem, experiments=tuple(runs)), settings=forms)
+    assert found.verdict == Verdict.FOUND
+    (effect,) = found.effects
+    assert (effect.form, effect.words) == ("backlash", "backlash")
+    assert effect.coefficients[0].value == pytest.approx(0.008, rel=0.1)
+
+
 def gusts(seed: int, size: float) -> np.ndarray:
     """A smooth random force."""
     drawn = np.random.default_rng(seed).standard_normal(1101)

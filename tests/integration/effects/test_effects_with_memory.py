@@ -58,6 +58,45 @@ def test_backlash_at_an_input(solver):
             assert np.abs(sampled - played(half)).max() > 1e-4
 
 
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
+def test_backlash_at_an_output(solver):
+    """A linkage with play, before a sensor that sees the position between the samples too."""
+    effect = Effect("e", "output y", "backlash")
+    plain_one, *several = simulated([effect], [(0.0,), (0.03,), (0.5,)], solver)
+    fine = np.linspace(TIMES[0], TIMES[-1], FINE * (len(TIMES) - 1) + 1)
+    truth = position(fine, np.interp(fine, TIMES, FORCE), M, K, C, *START)
+    (unchanged,) = simulated([], [()], solver)
+    assert plain_one.tobytes() == unchanged.tobytes()
+    for half, found in zip((0.03, 0.5), several, strict=True):
+        np.testing.assert_allclose(found, behind_a_play(truth, half)[::FINE], atol=6e-5)
+
+
+def retraced(signal, x0):
+    """What depends on the way of a signal alone: exact for straight lines."""
+    z, states = 0.0, [0.0]
+    for moved in (np.diff(signal) / x0).tolist():
+        z = np.sign(moved) + (z - np.sign(moved)) * np.exp(-abs(moved))
+        states.append(z)
+    return np.array(states)
+
+
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
+@pytest.mark.parametrize("pace", [1.0, 2.5])
+def test_hysteresis_of_an_actuator(solver, pace):
+    """At any pace; a lag of a tenth of a sample makes an error of about a hundredth of it."""
+    force = 2.0 * np.sin(pace * TIMES) + np.sin(2.7 * pace * TIMES)
+    times = np.linspace(TIMES[0], TIMES[-1], FINE * (len(TIMES) - 1) + 1)
+    given = np.interp(times, TIMES, force)
+    acting = given - 0.8 * retraced(given, 1.5)
+    unbent, truth = (position(times, each, M, K, C, *START)[::FINE] for each in (given, acting))
+    effect = Effect("e", "input F", "hysteresis")
+    tau = 0.1 * (TIMES[1] - TIMES[0])
+    found, none = simulated([effect], [(-0.8, 1.5, tau), (0.0, 1.5, tau)], solver, force)
+    (unchanged,) = simulated([], [()], solver, force)
+    assert none.tobytes() == unchanged.tobytes()
+    np.testing.assert_allclose(found, truth, atol=0.012 * np.abs(truth - unbent).max())
+
+
 def test_a_signal_is_changed_as_a_whole_before_it_is_bent():
     effects = [Effect("a", "input F", "gain"), Effect("b", "input F", "backlash")]
     (found,) = simulated(effects, [(0.2, 0.7)], EXACT)

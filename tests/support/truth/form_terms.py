@@ -227,6 +227,8 @@ _CURVE_TEST = "test_a_curve_between_two_states_acts_on_both_in_proportion"
 OWN_TESTS = {
     **{("pair", f"table{end}"): _CURVE_TEST for end in CURVES},
     ("input", "backlash"): "test_backlash_at_an_input",
+    ("output", "backlash"): "test_backlash_at_an_output",
+    ("input", "hysteresis"): "test_hysteresis_of_an_actuator",
     ("input", "rate_limit"): "test_a_limited_rate_of_an_input",
     ("input", "rate_limit_from_rest"): "test_a_limited_rate_of_an_input",
     ("output", "hysteresis"): "test_hysteresis_of_a_sensor",

@@ -34,7 +34,7 @@ static const char *make_output(Instance *c, size_t number, double *row, double *
     wrong = load(&o->effect, programs[0].at, programs[0].n);
     if (wrong == NULL) wrong = load(&o->motion, programs[1].at, programs[1].n);
     const Program *p = o->effect.p, *motion = o->motion.p;
-    if (wrong != NULL || p == NULL) return wrong != NULL || e->delay >= 0 ? wrong : other;
+    if (wrong != NULL || p == NULL) return wrong != NULL || e->memory != NO_HISTORY ? wrong : other;
     const size_t n_seen = t->n_raw + t->n_row, own = p->n_own;
     if (p->n_states != own || own != (size_t)e->n_states || p->n_inputs != n_seen
         || p->n_parameters != 1 || p->n_base != 0 || (own > 0) != (motion != NULL)

@@ -17,13 +17,23 @@ static void give_signals(const Instance *c, const Evaluated *e, const double *ro
     e->r[0] = c->now.time;
 }
 
+/* The history of a delay is what it was given, and that of a backlash is what it gave. */
+static double remembered_output(const Instance *c, size_t e, double value) {
+    const OutputEffect *effect = c->table.output_effects + e;
+    const History *history = history_of(c, e);
+    const double size = c->coefficients[effect->first_coefficient];
+    if (effect->memory == DELAY) return history_at(history, c->now.time - size, c->now.time, value);
+    if (history->count == 0) return value;
+    const double last = history->segments[history->count - 1].value;
+    return fmin(fmax(last, value - size), value + size);
+}
+
 static double result_of(const Instance *c, size_t e, const double *row) {
     const OutputEffect *effect = c->table.output_effects + e;
     const Output *o = c->outputs + e;
     const Evaluated *own = &o->effect;
-    if (effect->delay >= 0)
-        return history_at(history_of(c, e), c->now.time - c->coefficients[effect->delay],
-                          c->now.time, row[effect->column]);
+    if (effect->memory != NO_HISTORY)
+        return remembered_output(c, e, row[effect->column]);
     give_signals(c, own, row);
     memcpy(own->r + 1, o->run.x, own->p->n_own * sizeof *own->r);
     run_fast(own->p->fast[BEFORE], own->r);
@@ -65,9 +75,11 @@ int note_outputs(Instance *c) {
     for (size_t e = 0; e < t->n_output_effects; e++) {
         double *row = row_of(c, e);
         memcpy(row, row + t->n_row, t->n_row * sizeof *row);
-        if (t->output_effects[e].delay >= 0
-            && history_note(history_of(c, e), c->now.time, row[t->output_effects[e].column], 0.0)
-                   != 0)
+        const OutputEffect *effect = t->output_effects + e;
+        if (effect->memory == NO_HISTORY) continue;
+        const double given = row[effect->column];
+        const double noted = effect->memory == DELAY ? given : remembered_output(c, e, given);
+        if (history_note(history_of(c, e), c->now.time, noted, 0.0) != 0)
             return complain(c, ERROR, "there is no memory left");
     }
     return OK;

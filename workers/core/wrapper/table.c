@@ -84,7 +84,8 @@ static int are_effects(const Table *t, size_t *n_outer) {
     for (size_t i = 0; i < t->n_output_effects; i++) {
         const OutputEffect *e = t->output_effects + i;
         if (!is_below(e->column, t->n_row) || e->n_states < 0 || e->n_coefficients < 0
-            || e->first_coefficient < 0 || e->delay >= (int32_t)t->n_coefficients
+            || e->first_coefficient < 0 || e->memory < NO_HISTORY || e->memory > BACKLASH
+            || (e->memory != NO_HISTORY && e->n_coefficients == 0)
             || (size_t)e->first_coefficient + (size_t)e->n_coefficients > t->n_coefficients
             || (size_t)e->first_state != *n_outer)
             return 0;

@@ -28,15 +28,15 @@ typedef struct {
     int32_t kind, index, start;
 } Answered;
 
-enum { DELAY, BACKLASH, RATE_LIMIT, RATE_LIMIT_FROM_REST };
+enum { NO_HISTORY = -1, DELAY, BACKLASH, RATE_LIMIT, RATE_LIMIT_FROM_REST };
 typedef struct {
     int32_t kind, column, coefficient;
 } Memory;
 
-/* Where the output stands in the row; the coefficient that is its delay, or -1; its own states among
- * those of all of them; its coefficients. */
+/* Where the output stands in the row; its memory, a delay or a backlash of its first coefficient, or
+ * NO_HISTORY; its own states among those of all of them; its coefficients. */
 typedef struct {
-    int32_t column, delay, first_state, n_states, first_coefficient, n_coefficients;
+    int32_t column, memory, first_state, n_states, first_coefficient, n_coefficients;
 } OutputEffect;
 
 /* A variable of FMI 3.0 that FMI 2.0 has other references for, so many from `first` on: its

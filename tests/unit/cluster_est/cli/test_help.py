@@ -96,7 +96,7 @@ def test_every_size_that_is_to_be_filled_in_says_where_to_begin():
     ("word", "found", "absent"),
     [
         ("friction", {"coulomb", "stribeck", "dahl"}, {"radiation", "drift"}),
-        ("Hysteresis", {"dahl", "hysteresis"}, {"coulomb"}),
+        ("Hysteresis", {"dahl", "hysteresis"}, {"coulomb", "backlash"}),
         ("lag", {"lag"}, {"coulomb"}),  # a form of this name is described
     ],
 )

@@ -214,7 +214,7 @@ SPRING = missing_effect_problem("mass_spring_damper")
         ({"sites": ("der(w)",)}, r"does not offer the site 'der\(w\)'; did you mean 'der\("),
         ({"sites": ("input y",)}, r"closed_loop\.sites: mass_spring_damper\.fmu does not offer"),
         (
-            {"forms": ("backlash",), "sites": ("output y",)},
+            {"forms": ("rate_limit",), "sites": ("output y",)},
             r"closed_loop\.effects: must name a form for one of the sites",
         ),
     ],

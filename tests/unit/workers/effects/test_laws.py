@@ -144,6 +144,7 @@ STATES = {
     Law.LAGGED: (("0", "v"), "v"), Law.DELAYED: (("v", "0", "0", "0"), "v"),
     Law.LAGGED_SQUARE: (("0",), "v^2"),
     Law.PERIODIC_TRAVEL: (("0",), ""), Law.HYSTERESIS: (("0",), ""),
+    Law.HYSTERESIS_OF_SIGNAL: (("s", "0"), "s"),
     Law.FIRST_ORDER_LAG: (("s",), "s"), Law.FIRST_ORDER_LAG_FROM_ZERO: (("0",), "s"),
     Law.STORE: (("v",), "v"), Law.STORE_FROM_ZERO: (("0",), "v"),
     Law.STORE_FROM_ELSEWHERE: (("0", "1"), "v"), Law.TWO_STORES: (("v", "v"), "v"),
@@ -262,6 +263,15 @@ def test_a_law_of_a_state(form):
     else:
         assert same(rate(s, s, v), v)
         assert true_of(lambda z: moved(z, 0.0), coefficients(form)) == {Law.PERIODIC}
+
+
+def test_a_hysteresis_of_a_signal_depends_on_its_way_alone():
+    """Its rate is that of what follows the signal, times a factor that the direction decides."""
+    form = FORMS["input", "hysteresis"]
+    follows, bent = (read(form, own.derivative, "y", "s", "z", whole=True) for own in form.states)
+    y, z, x0 = 0.0 * X, np.tanh(X) - 0.5, coefficients(form)["x0"]
+    for way in (1.0, -1.0):
+        assert same(bent(y, way * X, z), follows(y, way * X, z) * (1.0 - way * z) / x0)
 
 
 def test_a_store_between_two_settles_between_them():

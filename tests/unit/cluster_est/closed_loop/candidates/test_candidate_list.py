@@ -224,6 +224,22 @@ def test_a_lag_may_begin_at_zero_only_where_its_signal_does_not(first, named):
     assert own & {"lag", *FROM_REST} == {"lag", *named}
 
 
+ON_TURNS = {"backlash", "hysteresis"}
+
+
+@pytest.mark.parametrize(("back", "named"), [(0.0, set()), (0.05, set()), (0.5, ON_TURNS)])
+def test_what_shows_only_when_a_signal_turns_is_tried_only_where_it_does(back, named):
+    """A ramp that comes back by a share of its way; else a play is an offset."""
+    runs = []
+    for run in PLAIN.experiments:
+        (force,) = run.inputs
+        way = np.linspace(0.0, 1.0 + back, len(force.values))
+        values = 3.0 * np.minimum(way, 2.0 - way)
+        runs.append(replace(run, inputs=(replace(force, values=values),)))
+    found = listed(replace(PLAIN, experiments=tuple(runs)), sites=("input F",))
+    assert {c.form.name for c in found} & {"lag", *ON_TURNS} == {"lag", *named}
+
+
 def test_a_store_is_of_a_state_and_begins_empty_only_where_zero_is_nothing():
     tanks = {(str(c.site), c.form.name, c.effect.variables) for c in all_of("cascaded_tanks", ())}
     assert ("der(h2)", "store", ("h1",)) in tanks

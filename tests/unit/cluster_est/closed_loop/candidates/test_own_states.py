@@ -14,7 +14,7 @@ ARGUMENTS = ("t", "s", "v", "w")
 WITH_STATES = [
     form
     for (kind, name), form in FORMS.items()
-    if form.states and name in ("lag", "mode", "lagged", "heating")
+    if form.states and name in ("lag", "mode", "lagged", "heating", "hysteresis")
 ]
 
 
