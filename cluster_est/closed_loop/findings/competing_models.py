@@ -278,12 +278,14 @@ class ResampledChoices:
 def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoices | None:
     """Resample the training experiments, and choose the best of the leading sets each time.
 
-    Each set is refitted with its linear model, so no simulation is needed. None if no effect was
-    added, or if a set has too many unknowns.
+    Each set is refitted with its linear model, so no simulation is needed. Sets whose refits have
+    not converged are left out: far from its minimum, a linear model may promise any fit. None if no
+    effect was added, or if a set has too many unknowns.
     """
     if not found.current.added:
         return None
-    leading = leading_models(fitter, found, LEADING)
+    first, *others = leading_models(fitter, found, LEADING)
+    leading = [first, *(fit for fit in others if fit.converged)]
     if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
     choice = choice_price(found)

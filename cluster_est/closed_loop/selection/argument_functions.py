@@ -4,7 +4,8 @@ A score describes a small step from a model without the effect. If the effect is
 trajectory changes. Two functions that looked alike on the old trajectory may then differ, and the
 shortlist may have contained the wrong one. So after a candidate has been refitted, the other
 functions of its argument (sibling forms) are compared with it by linear algebra, along its new
-trajectory. Those that could explain as much are refitted from there.
+trajectory. Those that could explain as much are refitted from there. So is the same form with other
+arguments, because arguments that were alike on the old trajectory may differ on the new one.
 
 A free curve is not a form of the library: it is a table of places and values. It fits what several
 named effects would only imitate, but it does not explain anything. So it is tried where no named
@@ -47,7 +48,9 @@ from cluster_est.closed_loop.selection.linear_model import (
     PruningBound,
     can_reach,
     first_steps,
+    gauss_newton_step,
     is_proportional,
+    longest_step,
     values_at,
 )
 from cluster_est.closed_loop.selection.refits import (
@@ -344,9 +347,10 @@ def refit_siblings(
     ranking: CandidateRanking,
     contenders: Sequence[RefittedCandidate],
 ) -> list[RefittedCandidate]:
-    """Refit other functions of the best contender's argument, starting from its fit.
+    """Refit siblings of the best contender, starting from its fit.
 
-    In co-simulation there are none, because the signals inside the model are not known.
+    These are other functions of its argument, and its function of other arguments. In co-simulation
+    there are none, because the signals inside the model are not known.
 
     Parameters
     ----------
@@ -381,12 +385,18 @@ def refit_siblings(
 
 
 def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
-    """Return whether a candidate has the same argument as the best; without one, the same site."""
+    """Return whether a candidate has the argument of the best one, or its site and form.
+
+    Without an argument, the site must be the same.
+    """
     own = best.candidate
     if candidate.form.free or candidate.effect.name in done:
         return False
+    here = candidate.site == own.site
+    if here and candidate.form is own.form:
+        return True
     same = candidate.effect.variables == own.effect.variables
-    return same and bool(own.effect.variables or candidate.site == own.site)
+    return same and bool(own.effect.variables or here)
 
 
 def starts_in_its_place(
@@ -399,7 +409,8 @@ def starts_in_its_place(
     """Return the best candidate's model with other candidates in its place, the most likely first.
 
     The target of the others is the change by the best candidate, plus what its fit leaves, along
-    its trajectory. Candidates that could not explain enough of it are left out.
+    its trajectory. Candidates that could not explain enough of it are left out. The other unknowns
+    move as the linear model proposes.
 
     Parameters
     ----------
@@ -419,8 +430,9 @@ def starts_in_its_place(
     target = columns[0] @ np.array(strengths or [1.0]) - fitted.residuals
     labels = [unknown.label for unknown in fitted.space.unknowns]
     others = [i for i, label in enumerate(labels) if not label.startswith(f"{name}.")]
-    projection = OrthogonalProjection(fitted.jacobian[:, others])
-    target = projection.remove(target)
+    matrix = fitted.jacobian[:, others]
+    projection = OrthogonalProjection(matrix)
+    all_of_it, target = target, projection.remove(target)
     without = fitted.start.minus(len(fitted.added) - 1)
     found: dict[str, tuple[float, FitStart]] = {}
     for trial, column in zip(trials, columns[1:], strict=True):
@@ -429,10 +441,21 @@ def starts_in_its_place(
         )
         rival = trial.candidate
         if share > found.get(rival.effect.name, (REFINEMENT.explains,))[0]:
-            start = without.plus(rival, values_at(trial, sizes))
+            acting = column @ sizes if len(sizes) else column[:, 0]
+            step = np.zeros(len(labels))
+            step[others] = gauss_newton_step(matrix, acting - all_of_it)
+            moved = {**without.values, **_estimates_after(fitted, step)}
+            start = replace(without, values=moved).plus(rival, values_at(trial, sizes))
             found[rival.effect.name] = share, start
     ranked = sorted(found.values(), key=lambda each: -each[0])
     return [start for _, start in ranked[:most]]
+
+
+def _estimates_after(fitted: FittedModel, step: FloatArray) -> dict[str, float]:
+    """Return the values after a step in search coordinates, shortened and kept within bounds."""
+    space, most = fitted.space, longest_step(fitted.space, fitted.x, REFINEMENT.largest_step)
+    moved = np.clip(fitted.x + np.clip(step, -most, most), space.lower, space.upper)
+    return space.estimates(moved)
 
 
 def explained_share(

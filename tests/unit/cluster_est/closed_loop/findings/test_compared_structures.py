@@ -134,7 +134,7 @@ def test_nothing_is_said_where_nothing_is_known():
     assert likely_sentence(PATH) == ""
 
 
-def searched(runs, rival_worse):
+def searched(runs, rival_worse, *, converged=True):
     """An effect that was added, and a rival that is worse in some experiments, better in others."""
     problem = made_problem(*runs)
     fitter = made_fitter(problem)
@@ -144,7 +144,12 @@ def searched(runs, rival_worse):
     current = fit_with_squares(problem, 1.0, [made_candidate("added")])
     current = replace(current, residuals=noise)
     factor = np.repeat([1.0 + each for each in rival_worse], runs)
-    rival = replace(current, residuals=factor * noise, added=(made_candidate("rival", "load"),))
+    rival = replace(
+        current,
+        residuals=factor * noise,
+        added=(made_candidate("rival", "load"),),
+        converged=converged,
+    )
     screening = made_screening(current.jacobian, current.residuals, [], [])
     last = made_round(None, screening)
     contender = made_refit(rival, rival.criterion(fitter.records))
@@ -158,6 +163,13 @@ def test_one_that_is_better_everywhere_is_always_chosen():
     assert own == tuple(each.label for each in found.current.added)
     assert choices.sentence.startswith("in 200 resamplings of the 6 experiments, the ")
     assert choices.sentence.endswith(f"best set of effects was {own[0]} in more than 99 %")
+
+
+def test_a_set_whose_refit_has_not_converged_is_not_chosen():
+    """Its linear model may promise a fit that it would never reach."""
+    fitter, found = searched([60] * 6, [-0.3] * 6, converged=False)
+    shares = resampled_choices(fitter, found).shares
+    assert list(shares) == [tuple(each.label for each in found.current.added)]
 
 
 def test_one_that_is_better_in_a_part_of_the_experiments_is_chosen_sometimes():
