@@ -54,8 +54,8 @@ WATCHED = {
     LoopPart.FUNCTIONS_OF_TIME,
     LoopPart.BOUNDED,
     *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
-}
-"""Parts whose influence is detected; other parts count as active."""
+} - {LoopPart.OUT_OF_REACH}
+"""Parts whose influence is detected; other parts count as active. `OUT_OF_REACH` also prunes."""
 
 ANOTHER_LOOP = 1e9
 """Offset between the simulation counts of two fitters, because each counts from 0."""

@@ -62,7 +62,7 @@ def test_parts_that_changed_nothing_are_known_and_what_they_have_simulated(lacki
     spent = saved(notes.spans, silent)
     assert spent > 0.0
     left = whole.simulations - spent  # or a few more: others may ask the same later
-    assert left <= without.simulations <= 1.02 * left
+    assert left <= without.simulations <= 1.1 * left
 
 
 def test_a_gate_is_noted_where_it_refuses(lacking):
