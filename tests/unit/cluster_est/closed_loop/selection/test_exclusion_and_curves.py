@@ -17,6 +17,8 @@ from support.loop_objects import (
 )
 
 from cluster_est import LoopSettings
+from cluster_est.closed_loop.fitter import FitStart, FittedModel
+from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.selection import argument_functions, gates
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import reason_to_stop
@@ -28,6 +30,8 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopPart
+from cluster_est.problem.search_space import make_space
+from workers.effects.site import EffectSite
 
 PROBLEM = made_problem(100)
 WRONG, RIGHT = made_candidate("wrong"), made_candidate("right")
@@ -314,3 +318,42 @@ def test_a_search_ends_if_its_best_effects_explain_less_than_their_share(
     out = RejectionReason.OUT_OF_REACH
     assert stopped_at(squares, *effects, most=most) is (out if stops else None)
     assert stopped_at(squares, *effects, most=most, without=(LoopPart.OUT_OF_REACH,)) is None
+
+
+def test_a_sibling_starts_where_the_linear_model_expects_all_unknowns(monkeypatch):
+    """The data are those of k = 1.5 and a sibling of strength 0.9; the best effect imitates them."""
+    generator = np.random.default_rng(4)
+    slope, right = generator.standard_normal((2, 100))
+    wrong = right + 0.2 * slope + 0.1 * generator.standard_normal(100)
+    width, k, strength = 0.5, 1.0, 0.8
+    start = FitStart(PROBLEM, {}).plus(WRONG, (strength, width))
+    space = make_space(start.problem, PROBLEM.indices("train"), starts=start.values)
+    x = np.array([{"k": k, "wrong.k": strength}.get(u.label, width) for u in space.unknowns])
+    residuals = slope * (k - 1.5) + wrong * strength - right * 0.9
+    columns = {"k": slope, "wrong.k": wrong}
+    jacobian = np.column_stack([columns.get(u.label, np.zeros(100)) for u in space.unknowns])
+    best = made_refit(FittedModel(space, x, residuals, jacobian, (WRONG,)), 0.0)
+    trial = CandidatePoint(RIGHT, (1.0, width))
+    known = [wrong[:, None], right[:, None]]
+    monkeypatch.setattr(argument_functions, "candidate_columns", lambda *_: known)
+    monkeypatch.setattr(argument_functions, "_before", lambda *_: [])
+    (found,) = argument_functions.starts_in_its_place(
+        made_fitter(PROBLEM), fit_with_squares(PROBLEM, NOTHING), best, [trial], 1
+    )
+    assert found.values["k"] == pytest.approx(1.5)
+    starts = {parameter.name: parameter.start for parameter in found.problem.parameters}
+    assert starts["right.k"] == pytest.approx(0.9)
+
+
+def with_variables(name, *variables):
+    candidate = made_candidate(name)
+    return replace(candidate, effect=replace(candidate.effect, variables=variables))
+
+
+def test_the_same_form_with_another_argument_is_a_sibling():
+    best = made_refit(fit_with_squares(PROBLEM, ONE, (with_variables("best", "v"),)), 0.0)
+    other = with_variables("other", "w")
+    elsewhere = replace(other, site=EffectSite("derivative", "w"))
+    assert argument_functions._is_rival(other, best, ())
+    assert not argument_functions._is_rival(elsewhere, best, ())
+    assert not argument_functions._is_rival(other, best, ("other",))
