@@ -266,7 +266,7 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
             begun = move.widened(fitter, begun)
             proposals = [
                 replace(proposal, move=proposal.move or move.part)
-                for proposal in move.propose(fitter, begun, best)
+                for proposal in move.propose(fitter, begun)
             ]
             own = choose(fitter, begun, proposals)
             compared = (*best.compared, *proposals)
