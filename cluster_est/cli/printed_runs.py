@@ -20,7 +20,7 @@ from cluster_est.cli.printing import (
 from cluster_est.experiment_design.design_sentences import times
 from cluster_est.html_report.headline import next_steps
 from cluster_est.html_report.reported_run import other_laws, read_results
-from cluster_est.problem.display import NO_ALTERNATIVE, SAME_PREDICTION, percent
+from cluster_est.problem.display import BETTER, NO_ALTERNATIVE, SAME_PREDICTION, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 
@@ -212,7 +212,7 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
         answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     if any(_differs(other) for other in others):
         answer.say("(an experiment at the point where they differ most could distinguish them)")
-    elif others:
+    elif others and all(other["difference"] is not None for other in others):
         answer.say("  (nothing in these data distinguishes them)")
     elif kind == "effect" and not effect["alternatives"]:
         answer.tell(f"  {NO_ALTERNATIVE}")
@@ -238,7 +238,8 @@ def _alternative(other: Facts) -> str:
     text += f": {other['equation']}" if other["equation"] else ""
     text += f"; with it, {other['parameters']}" if other.get("parameters") else ""
     if other["criterion"] is not None:
-        text += f" (criterion {other['criterion']:+.1f})"
+        better = f"; {BETTER}" if other.get("better") else ""
+        text += f" (criterion {other['criterion']:+.1f}{better})"
     known = other["time"] is not None and other["difference"] is not None
     if known and other["difference"] < SAME_PREDICTION:
         return f"{text}; on these data, their predictions are the same"

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.alternatives import refit_rivals
 from cluster_est.closed_loop.findings.claim_evidence import doubted, how_sure, with_claims
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
@@ -21,6 +22,7 @@ from cluster_est.closed_loop.findings.competing_models import (
     resampled_choices,
     with_choices,
     with_probabilities,
+    written_otherwise,
 )
 from cluster_est.closed_loop.findings.description import (
     describe_effects,
@@ -72,17 +74,25 @@ NOT_ALLOWED_FOR = (
 
 
 def account(
-    fitter: Fitter, answer: LastAnswer, scope: LoopScope, linear: Collection[str] = ()
+    fitter: Fitter,
+    answer: LastAnswer,
+    scope: LoopScope,
+    linear: Collection[str] = (),
+    *,
+    preliminary: bool = False,
 ) -> LoopResult:
     """Check the answer on the held-out experiments, and return the result with its texts.
 
-    `linear` are the inputs whose linear interpolation the measurements confirm.
+    `linear` are the inputs whose linear interpolation the measurements confirm. For a preliminary
+    result, the rivals of the effects are not fitted again.
     """
+    steps = GuardedSteps()
+    if not preliminary:
+        answer = _with_final_rivals(fitter, answer, steps)
     found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
     judgement, keep = answer.confirmed, answer.keeps_effects
     after, kept = (grown, found.current) if keep else (before, found.base)
-    steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
     competing: tuple[CompetingModel, ...] = ()
     choices = None
@@ -103,7 +113,7 @@ def account(
     begun = initial_errors(after.problem, after.simulations, fitted=True)
     compared = steps.do(
         "the probabilities of the structures",
-        lambda: with_choices(_compared(judgement.verdict, found), choices),
+        lambda: with_choices(_compared(fitter, judgement.verdict, found), choices),
         found.path,
     )
     compared = steps.do(
@@ -158,6 +168,14 @@ def account(
     )
 
 
+def _with_final_rivals(fitter: Fitter, answer: LastAnswer, steps: GuardedSteps) -> LastAnswer:
+    """Return an answer whose effects are compared with their rivals in the final model."""
+    fitter.enter("the rivals of the effects")
+    what = "the comparison of the effects with their rivals in the final model"
+    found = steps.do(what, lambda: refit_rivals(fitter, answer.found), answer.found)
+    return replace(answer, found=found)
+
+
 def _named(
     fitter: Fitter,
     answer: LastAnswer,
@@ -192,11 +210,14 @@ def _best_tried(fitter: Fitter, found: SelectionResult) -> tuple[NamedEffect, ..
     return () if best is None else describe_untested(fitter, best)
 
 
-def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
+def _compared(
+    fitter: Fitter, verdict: Verdict, found: SelectionResult
+) -> tuple[ComparedStructure, ...]:
     """Return the compared structures, with probabilities if the residual is only noise."""
     if verdict is not Verdict.FOUND:
         return found.path
-    return with_probabilities(found.path, choice_price(found))
+    same = written_otherwise(fitter, found)
+    return with_probabilities(found.path, choice_price(found), same)
 
 
 def _with_errors(
@@ -333,7 +354,8 @@ def result_so_far(
             judged = judge(fitter, found).so_far
             before, after = (as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
             fits = LastFits(before, after, error_changes(fitter, found, before, after))
-            result = account(fitter, LastAnswer(found, judged, fits), scope, linear)
+            answer = LastAnswer(found, judged, fits)
+            result = account(fitter, answer, scope, linear, preliminary=True)
     except ClusterEstError:
         return None
     most = found.settings.max_effects

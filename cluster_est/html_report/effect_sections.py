@@ -35,7 +35,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row, other_laws
 from cluster_est.html_report.scales import Scale
-from cluster_est.problem.display import NO_ALTERNATIVE, in_percent, percent
+from cluster_est.problem.display import BETTER, NO_ALTERNATIVE, in_percent, percent
 from workers.messages import FloatArray
 
 BAND_MARGIN = 1.5
@@ -360,6 +360,7 @@ def _rivals(effect: Row) -> Block:
             by = f"{digits(other['difference'], 2)} times the noise"
         criterion, said = other["criterion"], f"{other['words']} at {other['site']}"
         said += f" (with it, {moved})" if (moved := other.get("parameters")) else ""
+        said += f"; {BETTER}" if other.get("better") else ""
         worse = "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3)
         lines.append((said, code(other["equation"]), worse, at, by))
     return table(

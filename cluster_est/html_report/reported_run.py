@@ -178,8 +178,12 @@ def read_results(path: Path) -> ReportedRun:
 
 
 def other_laws(effect: Row) -> list[Row]:
-    """Return the alternatives that are other laws, not the same law with a further coefficient."""
-    return [other for other in effect.get("alternatives") or [] if not other.get("nested")]
+    """Return the alternatives that are other laws.
+
+    The others are the same law with a further coefficient, or written in another way.
+    """
+    same = ("nested", "same_law")
+    return [e for e in effect.get("alternatives") or [] if not any(e.get(key) for key in same)]
 
 
 def _table(path: Path) -> pa.Table | None:

@@ -107,6 +107,10 @@ NO_ALTERNATIVE = (
 """Remark on an effect without alternatives; an information criterion assumes exact models."""
 
 
+BETTER = "together with the other effects, it fits better than this effect"
+"""Remark on an alternative that is better in the final model than the effect that was chosen."""
+
+
 SAME_PREDICTION = 0.1
 """Multiple of the noise below which two predictions count as equal."""
 

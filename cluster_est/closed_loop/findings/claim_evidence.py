@@ -146,7 +146,9 @@ def _explained(effect: NamedEffect) -> str:
 def elsewhere(effect: NamedEffect) -> list[AlternativeEffect]:
     """Return an effect's best alternative at each other site, for the best few sites."""
     found: dict[str, AlternativeEffect] = {}
-    for other in sorted(effect.alternatives, key=lambda each: each.criterion):
+    known = [each for each in effect.alternatives if np.isfinite(each.criterion)]
+    unknown = [each for each in effect.alternatives if not np.isfinite(each.criterion)]
+    for other in (*sorted(known, key=lambda each: each.criterion), *unknown):
         if other.site != effect.site:
             found.setdefault(other.site, other)
     return list(found.values())[:MOST_NAMED]
@@ -158,7 +160,8 @@ def _beside(effect: NamedEffect, structures: Sequence[ComparedStructure]) -> tup
     without = [row for row in structures if effect.label not in row.effects]
     best = min((row.criterion for row in with_it), default=np.nan)
     second = min([0.0, *(row.criterion for row in without)])
-    rival = min([second - best, *(other.criterion for other in effect.alternatives)])
+    others = [other.criterion for other in effect.alternatives if np.isfinite(other.criterion)]
+    rival = min([second - best, *others])
     chosen = [row.chosen for row in with_it if np.isfinite(row.chosen)]
     return float(rival), float(sum(chosen)) if chosen else np.nan
 

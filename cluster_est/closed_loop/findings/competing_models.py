@@ -6,12 +6,13 @@ A set is judged by its fit, and by how often it is the best set in resamplings o
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.alternatives import are_one_law
 from cluster_est.closed_loop.findings.effects import effect_block
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
@@ -41,7 +42,9 @@ def choice_price(found: SelectionResult) -> float:
 
 
 def with_probabilities(
-    path: Sequence[ComparedStructure], choice: float
+    path: Sequence[ComparedStructure],
+    choice: float,
+    same: Collection[frozenset[str]] = (),
 ) -> tuple[ComparedStructure, ...]:
     """Give each set of effects its probability among all that were compared.
 
@@ -57,6 +60,11 @@ def with_probabilities(
     ----------
     path
         All refits; a set may have been refitted in several rounds.
+    choice
+        Penalty for the choice of an effect; see `choice_price`.
+    same
+        Sets that count together with the found one, because they are the same law; see
+        `written_otherwise`. They have no probability of their own.
 
     Returns
     -------
@@ -66,7 +74,7 @@ def with_probabilities(
     """
     declared = ComparedStructure(0, (), 0.0, 0.0, converged=True, accepted=False)
     rows = [*path, declared]
-    best = best_rows(rows)
+    best = {key: row for key, row in best_rows(rows).items() if key not in same}
     kept = [rows[number] for number in best.values()]
     criteria = np.array([row.criterion + choice * len(row.effects) for row in kept])
     criteria /= CRITERION_SCALE
@@ -195,17 +203,31 @@ class CompetingModel:
 def leading_models(fitter: Fitter, found: SelectionResult, most: int) -> list[FittedModel]:
     """Return the models with the best criterion, each set of effects once.
 
-    The model that was found is always the first.
+    The model that was found is always the first. Models that are the same law are left out.
     """
-    fits = [found.current, found.base]
-    fits += [each.fitted for step in found.steps for each in step.contenders]
-    fits += [each.fitted for _, rivals in found.rivals.values() for each in rivals]
+    fits = [found.current, found.base, *_refits(found)]
+    same = {fit.structure for fit in fits if are_one_law(fitter, found, fit)}
     best: dict[frozenset[str], FittedModel] = {}
     for fit in sorted(fits, key=lambda each: each.criterion(fitter.records)):
         best.setdefault(fit.structure, fit)
     best[found.current.structure] = found.current
-    others = [fit for key, fit in best.items() if key != found.current.structure]
+    left_out = {found.current.structure, *same}
+    others = [fit for key, fit in best.items() if key not in left_out]
     return [found.current, *others[: most - 1]]
+
+
+def written_otherwise(fitter: Fitter, found: SelectionResult) -> set[frozenset[str]]:
+    """Return the sets, by their labels, that are the found law written in other ways."""
+    same = (fit for fit in _refits(found) if are_one_law(fitter, found, fit))
+    return {frozenset(candidate.label for candidate in fit.added) for fit in same}
+
+
+def _refits(found: SelectionResult) -> Iterator[FittedModel]:
+    """Return the refitted models of a search that are still known."""
+    for step in found.steps:
+        yield from (each.fitted for each in step.contenders)
+    for _, rivals in found.rivals.values():
+        yield from (each.fitted for each in rivals)
 
 
 def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingModel, ...]:

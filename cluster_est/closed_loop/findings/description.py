@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import KinematicDefinition
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.alternatives import alternatives_of
+from cluster_est.closed_loop.findings.alternatives import alternatives_of, same_law_sentence
 from cluster_est.closed_loop.findings.effect_curves import agreements
 from cluster_est.closed_loop.findings.effects import AgreeingEquation, ErrorChange, NamedEffect
 from cluster_est.closed_loop.findings.naming import EffectName, Namer
@@ -185,19 +185,21 @@ def _describe(
     values = [float(np.mean(own)) if own else np.nan for own in known]
     named = namer.name(candidate, values, curve, _interval(coefficients, f"{name}.n"))
     also = _agreeing(fitter, result, named, curve)
+    alternatives = alternatives_of(fitter, found, candidate, namer, result)
+    said = sentence_of(named.words, candidate, coefficients, curve, also, period)
     return NamedEffect(
         effect=candidate.effect,
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=coefficients,
-        alternatives=alternatives_of(fitter, found, candidate, namer, result),
+        alternatives=alternatives,
         evidence=(
             *_evidence(found, candidate, period),
             *_columns(fitter, found, candidate, period),
             *((FEEDS_ENERGY,) if named.placed.feeds_energy else ()),
         ),
         words=named.words,
-        sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
+        sentence=" ".join(filter(None, [said, same_law_sentence(alternatives)])),
         also=also,
         period=float(period),
         label=candidate.label,

@@ -38,7 +38,8 @@ class AlternativeEffect:
     site, form, family, variables, equation
         Properties of the effect. The equation is "" if its own states only approximate a delay.
     criterion
-        Information criterion, minus that of the chosen effect (negative: better).
+        Information criterion, minus that of the chosen effect (negative: better). This and the
+        numbers below are of the final model; NaN if the effect was not fitted in this model.
     experiment, output, time
         Sample at which its predictions differ most from those of the chosen effect.
     difference
@@ -49,6 +50,13 @@ class AlternativeEffect:
         Values of declared parameters with it, outside of their intervals with the chosen effect.
     nested
         Whether it is the chosen law with a delay or a lag that is too short to be seen.
+    same_law
+        Whether it is the chosen law, written in another way: a function of the same arguments with
+        the same predictions.
+    unknowns
+        Number of unknowns of the model with it, minus that of the model with the chosen effect.
+    better
+        Whether it fits better than the chosen effect, together with the other effects.
     """
 
     site: str
@@ -64,6 +72,9 @@ class AlternativeEffect:
     words: str = ""
     parameters: str = ""
     nested: bool = False
+    same_law: bool = False
+    unknowns: int = 0
+    better: bool = False
 
 
 @dataclass(frozen=True)

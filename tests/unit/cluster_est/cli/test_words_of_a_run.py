@@ -11,7 +11,7 @@ from support.reported import Page
 from cluster_est.cli import main
 from cluster_est.html_report.activity import FailureGroup, LogActivity
 from cluster_est.html_report.page import write_report
-from cluster_est.problem.display import NO_ALTERNATIVE
+from cluster_est.problem.display import BETTER, NO_ALTERNATIVE
 
 PARAMETER = {
     "label": "k", "value": 1.0, "start": 2.0, "lower": 0.0, "upper": 9.0, "lower95": 0.9,
@@ -112,8 +112,10 @@ def test_a_lead_is_no_strong_evidence_against_other_candidates(printed, page):
         assert (NO_ALTERNATIVE in page(facts)) is claimed
 
 
-def test_the_same_law_with_a_short_lag_is_neither_named_nor_excluded(printed, page):
-    facts = LOOP | {"effects": [EFFECT | {"alternatives": [SAME | {"nested": True}]}]}
+@pytest.mark.parametrize("key", ["nested", "same_law"])
+def test_the_same_law_in_other_words_is_neither_a_rival_nor_excluded(printed, page, key):
+    """It has a further coefficient that is too small to be seen, or is written in another way."""
+    facts = LOOP | {"effects": [EFFECT | {"alternatives": [SAME | {key: True}]}]}
     for said in (printed(facts), page(facts)):
         assert "curve at der(v)" not in said
         assert NO_ALTERNATIVE not in said
@@ -136,6 +138,23 @@ def test_an_alternative_without_an_equation_and_with_other_parameters(printed, p
     facts = LOOP | {"effects": [EFFECT | {"alternatives": [other]}]}
     assert "from: curve at der(v); with it, k = 1.6 instead of 2.1 N/m (crit" in printed(facts)
     assert "curve at der(v) (with it, k = 1.6 instead of 2.1 N/m)" in page(facts)
+
+
+def test_a_rival_that_fits_better_is_said_to_do_so(printed, page):
+    for better in (True, False):
+        other = SAME | {"criterion": -12.3, "better": better}
+        facts = LOOP | {"effects": [EFFECT | {"alternatives": [other]}]}
+        assert (f"(criterion -12.3; {BETTER})" in printed(facts)) is better
+        assert (BETTER in page(facts)) is better
+
+
+def test_a_rival_without_numbers_is_named_alone(printed, page):
+    nothing = dict.fromkeys(("criterion", "time", "difference"), None)
+    facts = LOOP | {"effects": [EFFECT | {"alternatives": [SAME | nothing | {"experiment": ""}]}]}
+    said = printed(facts)
+    assert "from: curve at der(v): der(v) += table\n" in said
+    assert "nothing in these data" not in said
+    assert "curve at der(v)" in page(facts)
 
 
 @pytest.mark.parametrize(
