@@ -21,11 +21,17 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effects import AlternativeEffect
 from cluster_est.closed_loop.findings.naming import Namer, variables_of_effect
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.selection.linear_model import REFINEMENT, PruningBound, can_reach
+from cluster_est.closed_loop.selection.linear_model import (
+    REFINEMENT,
+    PruningBound,
+    can_reach,
+    predicted_criterion,
+)
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
     best_first,
+    ending_with,
     full_refit,
 )
 from cluster_est.closed_loop.selection.rounds import SelectionResult, compared_structure
@@ -46,33 +52,66 @@ def refit_rivals(fitter: Fitter, found: SelectionResult) -> SelectionResult:
     """Return the result of a search with the rivals of its effects fitted in the final model.
 
     Rivals that were compared in this model are kept as they are. A rival is dropped if it cannot be
-    simulated in this model, or if the data exclude it there.
+    simulated in this model, or if the data exclude it there. The search stops many refits early. If
+    the linear model predicts that such a refit would have become a rival, it is continued here.
     """
     model, records = found.current, fitter.records
     own = best_first(records, [model])[0]
     rivals, asked = {**found.rivals}, list[tuple[str, FitStart]]()
     for position, candidate in enumerate(model.added):
         name = candidate.effect.name
-        won, others = found.rivals.get(name, (None, []))
-        if won is None or is_same_model(won.fitted, model):
-            continue
-        rivals[name] = own, []
-        for rival in others:
-            if rival.candidate.effect.name not in model.structure:
-                asked.append((name, _start_instead(model, position, won.fitted, rival)))
+        if name in rivals:
+            won, known = rivals[name]
+            rivals[name] = (won, [*known]) if is_same_model(won.fitted, model) else (own, [])
+            asked += [(name, start) for start in _starts_of_rivals(fitter, found, position)]
     most = own.criterion + REFINEMENT.alternative
     fits = _refitted(fitter.limited_by(found.base), [start for _, start in asked], most)
-    rows = []
+    floor, rows = fitter.noise_floor(found.noise), []
     for (name, _), fit in zip(asked, fits, strict=True):
-        if fit is None:
-            continue
-        row = compared_structure(
-            records, found.base, fit, fitter.noise_floor(found.noise), len(found.steps)
-        )
-        rows.append(replace(row, accepted=False))
-        if fit.criterion(records) <= most:
-            rivals[name][1].append(*best_first(records, [fit]))
+        if fit is not None:
+            row = compared_structure(records, found.base, fit, floor, len(found.steps))
+            rows.append(replace(row, accepted=False))
+            if fit.criterion(records) <= most:
+                rivals[name][1].append(*best_first(records, [fit]))
     return replace(found, rivals=rivals, path=(*found.path, *rows))
+
+
+def _starts_of_rivals(fitter: Fitter, found: SelectionResult, position: int) -> list[FitStart]:
+    """Return the starts of an effect's rivals that are not known in the final model."""
+    model = found.current
+    name = model.added[position].effect.name
+    won, known = found.rivals[name]
+    rivals = {each.candidate.effect.name: each for each in known}
+    rivals = _stopped_early(fitter, found, won, name) | rivals
+    if is_same_model(won.fitted, model):
+        for each in known:
+            del rivals[each.candidate.effect.name]
+    return [
+        _start_instead(model, position, won.fitted, rival)
+        for other, rival in rivals.items()
+        if other not in model.structure
+    ]
+
+
+def _stopped_early(
+    fitter: Fitter, found: SelectionResult, won: RefittedCandidate, name: str
+) -> dict[str, RefittedCandidate]:
+    """Return the refits that stopped early and may become rivals of an effect, by their effect."""
+    others = won.fitted.structure - {name}
+    made: dict[str, RefittedCandidate] = {}
+    for each in (contender for step in found.steps for contender in step.contenders):
+        instead = sorted(each.fitted.structure - others)
+        if (
+            each.full
+            or len(instead) != 1
+            or instead[0] == name
+            or not others < each.fitted.structure
+        ):
+            continue
+        ahead = predicted_criterion(fitter.records, each.fitted)
+        if ahead <= won.criterion + REFINEMENT.alternative:
+            made.setdefault(instead[0], ending_with(each, instead[0]))
+    return made
 
 
 def is_same_model(one: FittedModel, other: FittedModel) -> bool:

@@ -31,7 +31,7 @@ from cluster_est.closed_loop.findings.competing_models import (
 from cluster_est.closed_loop.findings.description import describe_effects
 from cluster_est.closed_loop.findings.effects import AlternativeEffect
 from cluster_est.closed_loop.fitter import FitStart, Fitter
-from cluster_est.closed_loop.selection.refits import best_first, full_refit
+from cluster_est.closed_loop.selection.refits import FIRST, best_first, full_refit
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.running.runner import Runner
 from workers.effects.forms import FORMS
@@ -145,6 +145,28 @@ def test_nothing_is_simulated_for_rivals_that_were_compared_in_the_final_model()
     assert again == found
     (alternative,) = described(fitter, again).alternatives
     assert alternative.difference > 0.0
+
+
+@pytest.mark.parametrize("promising", [True, False])
+def test_a_refit_that_stopped_early_is_continued_if_it_may_become_a_rival(promising):
+    """Its linear model reaches the found one, or does not, as its directions are useless."""
+    fitter, found = searched(QUADRATIC, [SQUARE], both=False)
+    won, (rival,) = found.rivals["power"]
+    begun = FitStart(fitter.problem, {"k": 5.0}).plus(SQUARE, [9.0])
+    (early,) = fitter.fit(LoopStage.REFITS, [begun], replace(FIRST, max_iterations=0))
+    early = early if promising else replace(early, jacobian=0.0 * early.jacobian)
+    assert early.criterion(fitter.records) > won.criterion + 900.0
+    stopped = best_first(fitter.records, [early], full=False)
+    step = replace(found.steps[0], contenders=(won, *stopped))
+    found = replace(found, steps=(step,), rivals={"power": (won, [])})
+    before = fitter.runner.simulations
+    again = refit_rivals(fitter, found)
+    assert (fitter.runner.simulations > before) is promising
+    made = again.rivals["power"][1]
+    assert len(made) == promising
+    for each in made:
+        assert each.criterion == pytest.approx(rival.criterion, abs=0.1)
+        assert each.full
 
 
 def test_a_rival_that_fails_with_the_later_effects_is_dropped():
