@@ -181,7 +181,9 @@ def test_more_candidates_than_samples_are_no_reason_to_refuse(closed, tmp_path):
     arguments = ["close-loop", str(closed[0]), "--out", str(tmp_path / "run"), *short]
     assert main([*arguments, "closed_loop.effects=[]"]) == 0
     said = facts(tmp_path / "run")
-    assert (said["verdict"], said["effects"]) == ("none", [])  # the friction is not seen so early
+    # the friction is not seen so early, but it is in the whole record that is held out
+    assert (said["verdict"], said["effects"]) == ("unexplained", [])
+    assert "only the held-out experiments show" in said["summary"]
 
 
 @pytest.mark.parametrize(
