@@ -328,12 +328,16 @@ NOTICEABLE = 0.02
 
 def _print_rest(answer: Answer, facts: Facts, rows: Rows) -> None:
     """Print the rejected effects, the noise and the searched sites."""
+    told = facts["summary"]  # it says once for all leads how often such leads were right
     for effect in facts["rejected"]:
-        said = f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; "
         known = effect.get("claim") or {
             "sentence": "this shows where to look, but not what is missing"
         }
-        answer.say(said + known["sentence"])
+        said = "" if known["sentence"] in told else f"; {known['sentence']}"
+        told += said
+        answer.say(
+            f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}{said}"
+        )
         for other in other_laws(effect):
             answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     noise = ", ".join(

@@ -13,7 +13,12 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.alternatives import refit_rivals
-from cluster_est.closed_loop.findings.claim_evidence import doubted, how_sure, with_claims
+from cluster_est.closed_loop.findings.claim_evidence import (
+    doubted,
+    how_sure,
+    with_claims,
+    without_claims,
+)
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
     choice_price,
@@ -103,6 +108,8 @@ def account(
         curves = steps.do(shapes, lambda: effect_curves(fitter, kept, grown), ())
         often = "how often these effects are chosen"
         choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
+    named = _named(fitter, answer, judgement, curves, with_choices(found.path, choices))
+    judgement = without_claims(judgement, named) if keep else judgement
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     unexplained = steps.do(
@@ -121,9 +128,8 @@ def account(
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
-    named = _named(fitter, answer, judgement, curves, compared)
-    said = [judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]
-    said.insert(1, how_sure(named, claimed=keep))
+    others, first = _disturbance(judgement.verdict, unexplained, begun)
+    said = [judgement.reason, how_sure(named, claimed=keep), *others]
     noise = {} if fitter.predicts else fitter.noise_in_units(last_noise(fitter, found, keep=keep))
     scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
@@ -135,7 +141,7 @@ def account(
         *doubts,
         *answer.against,
         *scope.notes,
-        *scope.notes_on_inputs(linear),
+        *_notes_on_inputs(fitter, judgement.verdict, kept, found.noise, scope, linear),
         *rounding_notes(fitter, noise),
         *shared_arguments(kept.added),
         *like_ramps(fitter, ramps),
@@ -165,6 +171,7 @@ def account(
         unexplained=unexplained,
         competing=competing,
         process_noise=fits.noise if keep else (),
+        first=judgement.first or first,
     )
 
 
@@ -269,18 +276,21 @@ def _disturbance(
     verdict: Verdict,
     unexplained: Sequence[UnexplainedResidual],
     begun: Sequence[InitialError],
-) -> tuple[str, ...]:
-    """Return sentences on the unexplained part's size and period, or on a wrong initial state."""
+) -> tuple[tuple[str, ...], str]:
+    """Return sentences on the unexplained part's size and period, or on a wrong initial state.
+
+    The second value says what to do before everything else; "" for nothing.
+    """
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
-        return ()
+        return (), ""
     if begun:
         first = "leave out the start" if begun[0].settling else "correct the initial state"
-        return (f"{begun[0].sentence}; {first} first",)
+        return (f"{begun[0].sentence}; {first} first",), first
     said = (
         "the cause may also be an unmeasured disturbance; it would have to change "
         f"{unexplained[0].sentence}"
     )
-    return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
+    return (said, *dict.fromkeys(c for each in unexplained for c in each.columns)), ""
 
 
 def _nothing_tried(found: SelectionResult, sites: tuple[str, ...]) -> tuple[str, ...]:
@@ -305,15 +315,36 @@ def _notes(
 ) -> tuple[str, ...]:
     """Return the notes on unexplained residuals and the estimates."""
     notes: tuple[str, ...] = ()
-    if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
+    missing = verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED)
+    systematic = missing and leaves_more_than_noise(fitted, fitter.noise_floor(noise))
+    if missing:
         begun = initial_notes(after.problem, after.simulations)
         notes = (*notes, *begun)
-        if leaves_more_than_noise(fitted, fitter.noise_floor(noise)):
+        if systematic:
             few = too_few_records(after.problem)
             notes = (*notes, *few, where_left(fitter, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
-        notes = (*notes, *after.uncertainty.sentences)
+        notes = (*notes, *after.uncertainty.sentences_of(systematic=systematic))
     return (*notes, *fitted_to_held_out(after.estimates))
+
+
+def _notes_on_inputs(
+    fitter: Fitter,
+    verdict: Verdict,
+    fitted: FittedModel,
+    noise: FloatArray,
+    scope: LoopScope,
+    linear: Collection[str],
+) -> tuple[str, ...]:
+    """Return the notes on inputs that may need a hold, if their interpolation may matter.
+
+    A wrong interpolation looks like a delay or a lag. If only noise is left, and no effect
+    remembers the past, it has left no trace in the answer.
+    """
+    explained = verdict in (Verdict.FOUND, Verdict.NONE)
+    remembers = any(c.form.memory or c.form.states for c in fitted.added)
+    left = leaves_more_than_noise(fitted, fitter.noise_floor(noise))
+    return () if explained and not (remembers or left) else scope.notes_on_inputs(linear)
 
 
 def like_ramps(fitter: Fitter, added: Sequence[EffectCandidate]) -> tuple[str, ...]:

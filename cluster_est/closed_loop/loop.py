@@ -207,4 +207,5 @@ def with_interpolation(result: LoopResult, other: PreferredInterpolation | None)
         return replace(result, notes=(other.sentence, *result.notes))
     but = f"but the model fits better with {other.key}: set it first"
     message = in_sentences([result.message, but])
-    return replace(result, message=message, notes=(other.sentence, *result.notes))
+    notes = (other.sentence, *result.notes)
+    return replace(result, message=message, notes=notes, first=result.first or f"set {other.key}")

@@ -122,9 +122,14 @@ class NumericalError:
     def refusal(self) -> str:
         """The reason why there is no search for effects, as a sentence."""
         return (
-            f"{self._said}, so a missing effect cannot be distinguished from this error: set "
-            f"{self._advice} first, then run again"
+            f"{self._said}, so a missing effect cannot be distinguished from this error: "
+            f"{self.remedy} first, then run again"
         )
+
+    @property
+    def remedy(self) -> str:
+        """The setting of the solver that makes the error small, as in "set model.step = 0.01"."""
+        return f"set {self._advice}"
 
     @property
     def notes(self) -> tuple[str, ...]:

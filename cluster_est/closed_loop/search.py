@@ -137,7 +137,9 @@ def search_for_effects(
     said = "; ".join(each.sentence for each in faults)
     if error.hides_effects or any(each.kind != "foreign source" for each in faults):
         found = without_search(fitter, settings, base)
-        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, said or error.refusal))]
+        first = CORRECT_RECORDS if said else error.remedy
+        reason = said or error.refusal
+        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, reason, first=first))]
     else:
         grown = grow(
             fitter,
@@ -149,10 +151,14 @@ def search_for_effects(
         ends = [_judged(fitter, found) for found in answers(fitter, grown)]
         found, judged = ends[0]
         if said and judged.verdict is Verdict.UNEXPLAINED:
-            ends[0] = found, replace(judged, reason=f"{said}; {judged.reason}")
+            reason = f"{said}; {judged.reason}"
+            ends[0] = found, replace(judged, reason=reason, first=CORRECT_RECORDS)
     failures = fitter.runner.failures - before
     again = partial(_interpolations_with_effects, fitter, base, tested, resources)
     return SearchedModel(ends, error, with_effects, failures, tested, again)
+
+
+CORRECT_RECORDS = "correct the records"
 
 
 def _record_faults(

@@ -162,7 +162,8 @@ def effects(run: ReportedRun) -> ReportSection:
                 "Not accepted: these effects show where to look, not what is missing.", "faint"
             )
         )
-        if rejected[0].get("claim"):
+        claim = rejected[0].get("claim")
+        if claim and claim["sentence"] not in (run.facts.get("summary") or ""):
             blocks.append(_how_sure(rejected[0]))
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))

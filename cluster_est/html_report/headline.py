@@ -12,6 +12,7 @@ from cluster_est.html_report.error_sections import error_sentence, error_sizes
 from cluster_est.html_report.number_text import count, percent
 from cluster_est.html_report.page_blocks import NextStep, Tone
 from cluster_est.html_report.reported_run import ReportedRun, Row, other_laws
+from cluster_est.problem.display import in_a_row
 from cluster_est.run_folder.run_files import RunStatus, run_worth
 
 
@@ -216,6 +217,13 @@ def command(name: str, *given: str | Path) -> str:
     return shlex.join(["cluster-est", name, *map(str, given)])
 
 
+LOOK = (
+    "Look for the places with the largest remaining error, and declare an equation of your own "
+    "there ([[effects]]); if closed_loop.effects or closed_loop.sites leave something out, allow "
+    "it."
+)
+
+
 def next_steps(run: ReportedRun) -> tuple[NextStep, ...]:
     """Return next steps with their commands, the most important first."""
     return tuple(_steps(run))
@@ -229,25 +237,43 @@ def _steps(run: ReportedRun) -> Iterator[NextStep]:
         yield NextStep("Fit the influential parameters, and fix the others.", fit)
     if not run.finished:
         return
-    if run.status == RunStatus.NOT_CONVERGED:
-        yield NextStep("Give the fit a larger budget, another method, or several starts.")
-    if held := _at_bounds(run):
-        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix the values if they are known.")
-    yield from _after_loop(run) if run.is_loop else _after_fit(run)
+    if first := run.facts.get("first"):  # until then, other steps would start from wrong results
+        yield NextStep(f"{first[:1].upper()}{first[1:]} as the summary says, and search again.")
+    else:
+        yield from _after_run(run)
     if not any(row["role"] == "test" for row in run.tables["errors"]):
         yield NextStep('Hold an experiment out (role = "test") to see how well the model predicts.')
 
 
+def _after_run(run: ReportedRun) -> Iterator[NextStep]:
+    if run.status == RunStatus.NOT_CONVERGED:
+        yield NextStep("Give the fit a larger budget, another method, or several starts.")
+    coefficients = tuple(f"{lead['name']}." for lead in _leads(run))
+    # the law of a lead is uncertain, so wider bounds of its coefficients would not help
+    if held := [label for label in _at_bounds(run) if not label.startswith(coefficients)]:
+        yield NextStep(f"Widen the bounds of {_listed(held)}, or fix the values if they are known.")
+    yield from _after_loop(run) if run.is_loop else _after_fit(run)
+
+
+def _leads(run: ReportedRun) -> list[Row]:
+    """Return the added effects that are only leads."""
+    return [e for e in run.facts.get("effects") or [] if not e.get("claimed", True)]
+
+
 def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     effects: list[Row] = run.facts.get("effects") or []
-    if effects:
+    leads = _leads(run)
+    if leads:
+        named = in_a_row([f"{each['form']} at {each['site']}" for each in leads])
+        it = "it: it is only a lead" if len(leads) == 1 else "them: they are only leads"
+        yield NextStep(f"Check {named} by a test or an inspection before you rely on {it}.")
+    if len(leads) < len(effects):
         yield NextStep("Export the repaired model.", _export(run, "repaired.fmu"))
     if any(other_laws(effect) for effect in effects):
         yield _design(run, "Distinguish the effect from its rivals with another experiment")
-    if run.facts["verdict"] in ("unexplained", "partial"):
-        yield NextStep(
-            "Look for the places with the largest remaining error, and allow other effects there."
-        )
+    verdict = run.facts["verdict"]
+    if verdict == "unexplained" or (verdict == "partial" and not _is_near_noise(run)):
+        yield NextStep(LOOK)
     elif not effects:
         yield NextStep("Export the fitted model.", _export(run, "fitted.fmu"))
 

@@ -140,7 +140,8 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     if result.solver_error is not None:
         notes += result.solver_error.sentences
     if result.uncertainty is not None:
-        notes += result.uncertainty.sentences
+        narrow = result.diagnostics is not None and result.diagnostics.too_narrow
+        notes += result.uncertainty.sentences_of(systematic=narrow)
     for profile in result.profiles:
         notes += profile.sentences
     if result.bootstrap is not None:

@@ -137,6 +137,23 @@ def how_sure(effects: Sequence[NamedEffect], *, claimed: bool) -> str:
     )
 
 
+def without_claims(judged: ReasonedVerdict, effects: Sequence[NamedEffect]) -> ReasonedVerdict:
+    """Lower a verdict "found" to "partial" if each effect of the set is only a lead.
+
+    Such effects follow the data, but this does not say that they are what is missing.
+    """
+    leads_only = effects and not any(effect.claimed for effect in effects)
+    if judged.verdict is not Verdict.FOUND or not leads_only:
+        return judged
+    said = (
+        "the effect follows the data, but it is more likely wrong than right"
+        if len(effects) == 1
+        else "the effects follow the data, but none of them is more likely right than wrong"
+    )
+    reason = in_sentences([judged.reason, said])
+    return replace(judged, verdict=Verdict.PARTIAL, reason=reason)
+
+
 def _explained(effect: NamedEffect) -> str:
     """Return the label of an effect, with its words and its equation."""
     meaning = ": ".join(filter(None, (effect.words, effect.equation)))

@@ -10,7 +10,11 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import KinematicDefinition
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.alternatives import alternatives_of, same_law_sentence
-from cluster_est.closed_loop.findings.effect_curves import agreements
+from cluster_est.closed_loop.findings.effect_curves import (
+    THRESHOLDS,
+    agreements,
+    missed_thresholds,
+)
 from cluster_est.closed_loop.findings.effects import AgreeingEquation, ErrorChange, NamedEffect
 from cluster_est.closed_loop.findings.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.unexplained import varying_columns
@@ -304,27 +308,37 @@ def sentence_of(
     if seen is not None:
         own = candidate.site.kind == "output" and seen.variable == candidate.site.target
         said += f"; {'without the effect' if own else 'in the data'}, {_range(seen)}"
-        said += _one_side_only(candidate, seen)
+        said += _not_reached(candidate, coefficients, seen)
     return " ".join([f"{said}.", *(_agreement(each, seen) for each in also if seen is not None)])
 
 
 REFERENCES = {
     "drift": "t", "linear": "{v}", "inverse": "{v}", "exponential": "{v}", "power": "abs({v})",
-    "magnitude": "abs({v})", "square": "{v}^2", "inverse_square": "{v}^2", "heating": "z",
+    "offset_power": "abs({v})", "magnitude": "abs({v})", "square": "{v}^2",
+    "inverse_square": "{v}^2", "arrhenius": "{v}", "heating": "z", "lagged": "z",
+    "delayed": "the delayed {v}",
 }  # fmt: skip
-"""By form that leaves a parameter unchanged at one value of its argument: this argument."""
+"""By form that leaves a parameter unchanged at one value of its argument, `at`: this argument."""
 
 
 def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> str:
     """Say for which argument a parameter that now varies has its estimated value."""
-    argument = REFERENCES.get(candidate.form.name)
-    at = next((e for e in coefficients if e.parameter == f"{candidate.effect.name}.at"), None)
-    if candidate.site.kind != "parameter" or argument is None or at is None:
+    if candidate.site.kind != "parameter":
+        return ""
+    known = {e.parameter.removeprefix(f"{candidate.effect.name}."): e for e in coefficients}
+    ends = [
+        known[name]
+        for name in (("low", "high") if candidate.form.free else ("at",))
+        if name in known
+    ]  # a free curve is zero in the middle of its range
+    argument = "{v}" if candidate.form.free else REFERENCES.get(candidate.form.name)
+    if argument is None or not ends:
         return ""
     variable = next(iter(candidate.effect.variables), "")
     named = argument.format(v=bracketed(variable) if "^" in argument else variable)
-    where = f"{named} = {at.value:.4g}{in_unit(at.unit)}"
-    return f"; at {where}, {candidate.site.target} has its estimated value"
+    value = sum(each.value for each in ends) / len(ends)
+    where = f"{named} = {value:.4g}{in_unit(ends[0].unit)}"
+    return f"; the estimate of {candidate.site.target} is its value at {where}"
 
 
 def _repeats(
@@ -339,12 +353,20 @@ def _repeats(
     return f", a period of {2.0 * math.pi / n:.4g}{unit}"
 
 
-def _one_side_only(candidate: EffectCandidate, curve: EffectCurve) -> str:
-    """Say if the data show only one side of a law that acts on both sides of zero."""
-    if candidate.form.law is not Law.SATURATION or curve.x[0] < 0.0 < curve.x[-1]:
+def _not_reached(
+    candidate: EffectCandidate, coefficients: Sequence[Estimate], curve: EffectCurve
+) -> str:
+    """Say which thresholds of a law the data do not reach."""
+    name = candidate.effect.name
+    known = {e.parameter.removeprefix(f"{name}."): e.value for e in coefficients}
+    law, unit = candidate.form.law, in_unit(curve.variable_unit)
+    missed = missed_thresholds(law, known, curve)
+    if not missed:
         return ""
-    other = "below" if curve.x[0] >= 0.0 else "above"
-    return f"; the data do not show whether there is a limit {other} zero"
+    at = in_a_row([f"{curve.variable} = {each:.4g}{unit}" for each in missed])
+    if THRESHOLDS[law][1]:
+        return f"; the data do not reach {at}, so they do not show what happens there"
+    return f"; the data do not pass {at}, so they do not show that there is such a threshold"
 
 
 def _place(candidate: EffectCandidate) -> str:

@@ -7,7 +7,7 @@ where a measurement would distinguish them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -159,6 +159,42 @@ definition: a system can hardly be operated at far larger values."""
 
 MOST_AGREEING = 3
 """Largest number of equations that are named in addition to the one that was found."""
+
+
+THRESHOLDS: dict[Law, tuple[str, bool]] = {
+    Law.SATURATION: ("limit", True), Law.DEAD_ZONE: ("k", True), Law.CUT_OFF: ("k", True),
+    Law.GAP: ("at", True), Law.CLIPPED: ("at", True), Law.ABOVE: ("at", False),
+    Law.BELOW: ("at", False), Law.ABOVE_BY_POWER: ("at", False),
+    Law.LIMIT_ABOVE: ("limit", False), Law.LIMIT_BELOW: ("limit", False),
+}  # fmt: skip
+"""By law with a threshold: the coefficient of the threshold, and whether there is a second one with
+the opposite sign. Only the data on both sides of a threshold show it."""
+
+
+def missed_thresholds(
+    law: Law, coefficients: Mapping[str, float], curve: EffectCurve | None
+) -> list[float]:
+    """Return the thresholds of a law that the argument of an effect does not pass in the data."""
+    name, both = THRESHOLDS.get(law, ("", False))
+    at = coefficients.get(name, np.nan)
+    if curve is None or not len(curve.x) or not np.isfinite(at):
+        return []
+    low, high = float(curve.x.min()), float(curve.x.max())
+    return [x for x in ((at, -at) if both else (at,)) if not low < x < high]
+
+
+ONE_SIDE = {
+    Law.SATURATION: (Law.LIMIT_BELOW, Law.LIMIT_ABOVE),
+    Law.GAP: (Law.BELOW, Law.ABOVE),
+}
+"""Laws with two thresholds, and what the data show if they pass only the lower or the upper one."""
+ONE_THRESHOLD = (Law.ABOVE, Law.BELOW, Law.ABOVE_BY_POWER)
+"""Laws with one threshold. Data on one side of it show a simpler law."""
+
+
+def law_of_one_side(law: Law, missed: Sequence[float]) -> Law:
+    """Return the law that the data show if they do not pass one of two thresholds."""
+    return ONE_SIDE[law][missed[0] < 0.0] if len(missed) == 1 and law in ONE_SIDE else law
 
 
 LAWS: dict[Law, tuple[str, Shape]] = {

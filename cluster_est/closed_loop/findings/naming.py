@@ -14,6 +14,11 @@ import numpy as np
 import sympy as sp
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.effect_curves import (
+    ONE_THRESHOLD,
+    law_of_one_side,
+    missed_thresholds,
+)
 from cluster_est.problem.dimensions import (
     ACCELERATION,
     AMOUNT,
@@ -96,10 +101,11 @@ class Namer:
         targets = {self.units.of(target) for target in site.targets}
         drawn = curve is not None and len(curve.x) > 0 and not candidate.form.is_dynamics
         seen = curve if drawn else None
+        missed = missed_thresholds(law, _known(candidate, values), seen)
         way = _way(candidate)
         change = _direction(candidate, law, values, seen) * (way or 1)
         placed = PlacedLaw(
-            law=law,
+            law=law_of_one_side(law, missed),
             kind=site.kind,
             site=targets.pop() if len(targets) == 1 else None,
             argument=known[0] if known else None,
@@ -116,8 +122,11 @@ class Namer:
         if law in ONE_WAVE and _at_lowest(candidate, values):
             (said,) = map(ONE_WAVE[law].format, map(bracketed, variables or (site.target,)))
             return EffectName(said, replace(placed, law=Law.OTHER))
+        if missed and law in ONE_THRESHOLD:
+            said = f"{_in_mathematics(law, site, variables)} that the data do not pass"
+            return EffectName(said, replace(placed, law=Law.OTHER))
         physics = physics_of(placed).format(w=bracketed(variables[-1]) if variables else "")
-        words = physics or _in_mathematics(law, site, variables)
+        words = physics or _in_mathematics(placed.law, site, variables)
         return EffectName(words, placed)
 
 
@@ -129,12 +138,15 @@ ONE_WAVE = {
 """Names of waves with the longest allowed period: the data do not show that they repeat."""
 
 
+def _known(candidate: EffectCandidate, values: Sequence[float]) -> dict[str, float]:
+    """Return the coefficients by name; empty if they are unknown."""
+    names = [c.name for c in candidate.form.coefficients]
+    return dict(zip(names, values, strict=True)) if len(names) == len(values) else {}
+
+
 def _exponent(candidate: EffectCandidate, values: Sequence[float]) -> tuple[float, float] | None:
     """Return the exponent n of a power law, as an interval of no width; None if it is unknown."""
-    names = [c.name for c in candidate.form.coefficients]
-    if "n" not in names or len(values) != len(names):
-        return None
-    n = values[names.index("n")]
+    n = _known(candidate, values).get("n", np.nan)
     return (n, n) if np.isfinite(n) else None
 
 

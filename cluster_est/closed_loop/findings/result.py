@@ -106,6 +106,9 @@ class LoopResult(ResultView):
         an experiment that distinguishes them. Empty if nothing was added, and with process noise.
     process_noise
         Strength of the process noise before and after; empty if nothing was added.
+    first
+        What the summary asks to do before everything else, such as "correct the records"; "" if it
+        asks for nothing.
     left_out
         Times of the samples that were left out as outliers, by experiment and output. The key
         `left_out` of an experiment takes these times.
@@ -135,6 +138,7 @@ class LoopResult(ResultView):
     resampled: str = ""
     competing: tuple[CompetingModel, ...] = ()
     process_noise: tuple[NoiseChange, ...] = ()
+    first: str = ""
     left_out: Mapping[str, Mapping[str, Sequence[float]]] = dataclasses.field(default_factory=dict)
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
@@ -232,6 +236,7 @@ class LoopResult(ResultView):
             "errors_over": self.errors_over.value,
             "verdict": self.verdict.value,
             "summary": self.message,
+            "first": self.first,
             "effects": [_effect_facts(effect) for effect in self.effects],
             "likely": likely_sentence(
                 self.structures, claims=any(effect.claim is not None for effect in self.effects)

@@ -72,6 +72,9 @@ class ReasonedVerdict:
         far too small.
     independent
         Share of the samples that are independent; below 1 if the residuals are autocorrelated.
+    first
+        What the reason asks to do before everything else, such as "correct the records"; "" if it
+        asks for nothing.
     """
 
     verdict: Verdict
@@ -83,6 +86,7 @@ class ReasonedVerdict:
     floor: float = 1.0
     filtered: bool = False
     independent: float = 1.0
+    first: str = ""
 
     def refused(self, against: str) -> ReasonedVerdict:
         """Return the verdict "unexplained", with a reason against the effects that were claimed."""

@@ -26,6 +26,7 @@ from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty.covariance.local_uncertainty import (
+    MORE_SAMPLES,
     ConfidenceInterval,
     DerivedInterval,
     Uncertainty,
@@ -298,11 +299,10 @@ def _wide_notes(
     count, rank = len(system.weighting.factor), system.factors.rank
     correlated = chosen.basis is NoiseBasis.AUTOREGRESSION
     return (
-        f"the intervals are {wider:.2g} times as wide as with many samples, because few samples "
-        f"show how large the noise is: {count} {'autocorrelated ' if correlated else ''}residuals "
-        f"determine {rank} values, which leaves {chosen.degrees:.2g} degree"
-        f"{'' if chosen.degrees == 1 else 's'} of freedom; more samples make the intervals "
-        "narrower",
+        f"the intervals are {wider:.2g} times as wide as with many independent residuals, because "
+        f"{count} {'autocorrelated ' if correlated else ''}residuals determine {rank} values, "
+        f"which leaves {chosen.degrees:.2g} degree{'' if chosen.degrees == 1 else 's'} of freedom "
+        f"to estimate their size{MORE_SAMPLES}",
     )
 
 

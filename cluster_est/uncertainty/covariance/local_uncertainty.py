@@ -20,6 +20,8 @@ RATIO_TOLERANCE = 0.02
 NAMED = 1e-3
 """Share of the largest relative change; unknowns that change less are not named."""
 MOST_NAMED_CHANGES = 6
+MORE_SAMPLES = "; more samples make the intervals narrower"
+"""End of a note on wide intervals."""
 
 
 @dataclass(frozen=True)
@@ -243,4 +245,12 @@ class Uncertainty:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences on directions that the data do not determine, followed by the notes."""
-        return (*(direction.sentence for direction in self.directions), *self.notes)
+        return self.sentences_of(systematic=False)
+
+    def sentences_of(self, *, systematic: bool) -> tuple[str, ...]:
+        """Return the `sentences`, without the advice to take more samples if it would not help.
+
+        More samples do not make a systematic error of the model smaller.
+        """
+        notes = (each.removesuffix(MORE_SAMPLES) if systematic else each for each in self.notes)
+        return (*(direction.sentence for direction in self.directions), *notes)

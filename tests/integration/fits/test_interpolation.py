@@ -230,6 +230,7 @@ def test_an_interpolation_is_the_first_thing_to_set_only_if_little_else_is_missi
     )
     found = with_interpolation(nothing, preference(fall))
     assert ("set it first" in found.message) is first
+    assert found.first == (f"set {preference(fall).key}" if first else "")
     assert found.notes == (preference(fall).sentence,)
 
 

@@ -162,6 +162,7 @@ def test_a_loop_says_it_first_and_looks_for_no_effect():
     found = ce.close_loop(springs(only(ODD["gain"][0])), resources=ONE)
     assert found.verdict == "unexplained"
     assert found.message.startswith("check the record of experiment run 2 first")
+    assert found.facts()["first"] == found.first == "correct the records"
     assert not found.effects
     assert not found.findings
 

@@ -105,6 +105,56 @@ def test_effects_and_leads_say_how_often_such_were_right(printed, page):
     assert f"T{lead[1:]}." in page(LOOP | unexplained)
 
 
+def test_how_often_leads_were_right_is_said_once(printed, page):
+    lead = "this is a lead, not a claim: of 75 leads in the benchmark, 12 were right"
+    other = EFFECT | {"site": "der(w)", "equation": "der(w) += k * w^2"}
+    rejected = [each | {"claim": {"sentence": lead}} for each in (EFFECT, other)]
+    for summary in ("the model lacks something", f"best guess: drag: for each effect, {lead}"):
+        facts = LOOP | {"verdict": "unexplained", "summary": summary, "rejected": rejected}
+        for said in (printed(facts), page(facts)):
+            assert said.lower().count(lead[:60]) == 1
+            assert "der(w) += k * w^2" in said
+
+
+LEAD, AT_BOUND = EFFECT | {"claimed": False}, PARAMETER | {"at_bound": "lower"}
+LEFT, NEAR = ERROR, ERROR | {"normalised_after": 1.1}
+
+
+@pytest.mark.parametrize(
+    ("facts", "row", "steps", "others"),
+    [
+        ({"effects": [EFFECT]}, NEAR, ["Export the repaired"], ["Check ", "Look for"]),
+        ({"effects": [LEAD], "verdict": "partial"}, NEAR,
+         ["Check square at der(v) by a test or an inspection before you rely on it: it is only a"],
+         ["Export", "Look for"]),
+        ({"effects": [LEAD, EFFECT], "verdict": "partial"}, LEFT,
+         ["Check square at der(v) by", "Export the repaired", "Look for the places"], []),
+        ({"effects": [LEAD, LEAD], "verdict": "partial"}, LEFT,
+         ["and square at der(v) by a test", "on them: they are only leads", "Look for the places"],
+         ["Export"]),
+        ({"verdict": "unexplained"}, LEFT, ["Look for the places"], ["Export", "search again"]),
+        ({"verdict": "unexplained", "first": "correct the records"}, LEFT,
+         ["Correct the records as the summary says, and search again."], ["Look for", "Widen"]),
+        ({"effects": [EFFECT], "first": "set inputs.u"}, NEAR,
+         ["Set inputs.u as the summary says"], ["Export"]),
+    ],
+)  # fmt: skip
+def test_next_steps_fit_the_verdict(printed, facts, row, steps, others):
+    said = printed(LOOP | facts | {"errors": {}}, errors=[row], parameters=[AT_BOUND])
+    told = said[said.index("next: ") :]
+    assert all(step in told for step in steps)
+    assert not any(other in told for other in others)
+
+
+def test_bounds_of_a_lead_are_not_widened(printed):
+    facts = LOOP | {"verdict": "partial", "effects": [LEAD]}
+    own = AT_BOUND | {"label": "square_v.n"}
+    assert "Widen the bounds of k," in printed(facts, parameters=[AT_BOUND, own])
+    assert "Widen" not in printed(facts, parameters=[PARAMETER, own])
+    claimed = facts | {"effects": [EFFECT]}
+    assert "Widen the bounds of square_v.n," in printed(claimed, parameters=[PARAMETER, own])
+
+
 def test_a_lead_is_no_strong_evidence_against_other_candidates(printed, page):
     for claimed in (True, False):
         facts = LOOP | {"effects": [EFFECT | {"claimed": claimed}]}

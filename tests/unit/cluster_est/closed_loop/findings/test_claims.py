@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.named_effects import estimate
 
-from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims
+from cluster_est.closed_loop.findings.claim_evidence import how_sure, with_claims, without_claims
 from cluster_est.closed_loop.findings.claims import (
     CALIBRATION,
     FEW,
@@ -14,7 +14,8 @@ from cluster_est.closed_loop.findings.claims import (
     claim,
     lead,
 )
-from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect
+from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect, Verdict
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from workers.messages import Effect
 
@@ -235,3 +236,26 @@ def test_the_summary_says_how_sure_each_effect_is():
     assert how_sure([told], claimed=False).startswith(
         "best guess: coulomb at der(v) (Coulomb friction: der(v) += -k * tanh(v / w)): this is"
     )
+
+
+SURE, UNSURE = claim(EVIDENCE, CALIBRATION), claim(replace(EVIDENCE, left=9.0), CALIBRATION)
+NONE_OF_THEM = "The effects follow the data, but none of them is more likely right than wrong"
+ONE = "The effect follows the data, but it is more likely wrong than right"
+
+
+@pytest.mark.parametrize(
+    ("claims", "verdict", "said"),
+    [
+        ([UNSURE, UNSURE], Verdict.PARTIAL, f". {NONE_OF_THEM}"),
+        ([UNSURE], Verdict.PARTIAL, f". {ONE}"),
+        ([UNSURE, SURE], Verdict.FOUND, ""),
+        ([None, None], Verdict.FOUND, ""),  # unknown noise
+        ([], Verdict.FOUND, ""),
+    ],
+)
+def test_leads_alone_are_not_found(claims, verdict, said):
+    effects = [replace(FRICTION, claim=each) for each in claims]
+    judged = without_claims(ReasonedVerdict(Verdict.FOUND, "they remove 99%"), effects)
+    assert (judged.verdict, judged.reason) == (verdict, f"they remove 99%{said}")
+    other = ReasonedVerdict(Verdict.PARTIAL, "they remove 80%")
+    assert without_claims(other, effects) is other

@@ -3,11 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 from support.named_effects import described, estimate, seen, visited
 
 from cluster_est.problem.dimensions import dimension_of
+from workers.effects.expression import parse
 from workers.effects.forms import FORMS
 from workers.fmu.xml import UnitDefinition
 
@@ -303,31 +305,104 @@ def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
 def test_a_parameter_that_varies_is_the_one_at_a_place(form, where):
     numbers = [estimate("n", 0.6), estimate("at", 0.12, "kg/s", on="known")]
     said = described("parameter UA", form, "m", estimates=numbers).sentence
-    assert said.endswith(f"; at {where} kg/s, UA has its estimated value.")
+    assert said.endswith(f"; the estimate of UA is its value at {where} kg/s.")
+
+
+@pytest.mark.parametrize(
+    "form", [f for (kind, _), f in FORMS.items() if kind == "parameter"], ids=lambda f: f.name
+)
+def test_each_form_with_a_reference_says_where_a_parameter_has_its_estimate(form):
+    """At the reference, the form leaves the parameter unchanged."""
+    numbers = [estimate(c.name, 4.0 if c.name == "high" else 2.0) for c in form.coefficients]
+    said = described("parameter p", form, "m", estimates=numbers).sentence
+    referred = {c.name for c in form.coefficients} & {"at", "low"}
+    place = said.partition("the estimate of p is its value at ")[2]
+    assert bool(place) is bool(referred)
+    if form.free:
+        assert place == "m = 3."
+    elif referred and not form.states:
+        v, at = {"m": (2.0, 2.0), "t": (2.0, 2.0), "abs(m)": (-2.0, 2.0), "m^2": (-2.0, 4.0)}[
+            place.partition(" = ")[0]
+        ]
+        symbols = {n: sp.Symbol(n) for n in ("s", "v", "t", *(c.name for c in form.coefficients))}
+        known = dict.fromkeys(symbols, 0.7) | {"s": 5.0, "v": v, "t": v, "at": at}
+        term = parse(form.equation, symbols, "")
+        assert float(term.subs({symbols[n]: x for n, x in known.items()})) == pytest.approx(5.0)
 
 
 def test_what_has_no_such_place_says_none():
     numbers = [estimate("k", 0.6), estimate("at", 0.12, "m")]
-    assert "estimated value" not in described("der(v)", "hinge", "x", estimates=numbers).sentence
+    assert "the estimate of" not in described("der(v)", "hinge", "x", estimates=numbers).sentence
 
 
 def test_the_square_of_a_difference_is_in_brackets():
     numbers = [estimate("at", 5.684e4, "K2", on="known")]
     said = described("parameter C", "square", "a - b", estimates=numbers).sentence
-    assert said.endswith("; at (a - b)^2 = 5.684e+04 K2, C has its estimated value.")
+    assert said.endswith("; the estimate of C is its value at (a - b)^2 = 5.684e+04 K2.")
+
+
+def passing(site, form, low, high, *variables, coefficient, units=None):
+    """An effect with a threshold of 4 V, and the range of its argument in the data."""
+    variable = variables[0] if variables else site.partition(" ")[2]
+    x = np.linspace(low, high, 99)
+    curve = replace(seen(x, -np.sign(x) * np.maximum(np.abs(x) - 4.0, 0.0)), variable=variable)
+    curve = replace(curve, variable_unit="V")
+    numbers = [estimate(coefficient, 4.0, "V", error=0.01)]
+    return described(site, form, *variables, estimates=numbers, curve=curve, units=units)
 
 
 @pytest.mark.parametrize(
-    ("low", "said"),
-    [(0.07, "; the data do not show whether there is a limit below zero."), (-4.1, " V.")],
+    ("low", "high", "words", "missed"),
+    [
+        (0.07, 4.462, "an upper limit", "u = -4 V"),
+        (-2.5, 6.0, "an upper limit", "u = -4 V"),
+        (-6.0, 2.5, "a lower limit", "u = 4 V"),
+        (-4.1, 4.462, "saturation on both sides", ""),
+    ],
 )
-def test_a_saturation_says_which_side_the_data_show(low, said):
-    curve = seen(np.linspace(low, 4.462, 5), np.ones(5))
-    curve = replace(curve, variable="u", variable_unit="V")
-    numbers = [estimate("limit", 4.0, "V", error=0.01)]
-    found = described("input u", "saturation", "u", estimates=numbers, curve=curve)
-    assert f"in the data, u is between {low:.3g} and 4.46 V" in found.sentence
-    assert found.sentence.endswith(said)
+def test_a_saturation_has_the_sides_that_the_data_show(low, high, words, missed):
+    found = passing("input u", "saturation", low, high, coefficient="limit")
+    assert found.words == words
+    said = f"; the data do not reach {missed}, so they do not show what happens there."
+    assert found.sentence.endswith(said if missed else " V.")
+
+
+@pytest.mark.parametrize(
+    ("site", "form", "variables", "coefficient", "low", "words", "told"),
+    [
+        ("der(v)", "gap", ("x",), "at", -2.0, "a term linear in x above a threshold", "x = -4 V"),
+        ("der(v)", "gap", ("x",), "at", -9.0, "a term linear in x beyond a gap", ""),
+        ("output y", "dead_zone", (), "k", -2.0, "a dead zone", "y = -4 V"),
+        ("output y", "dead_zone", (), "k", -9.0, "a dead zone", ""),
+        ("pair a,b", "joint", ("a - b",), "at", -2.0, "up to a limit", "a - b = -4 V"),
+        ("der(v)", "hinge", ("x",), "at", 5.0, "above a threshold that the data do not pass",
+         "the data do not pass x = 4 V, so they do not show that there is such a threshold"),
+        ("der(v)", "hinge", ("x",), "at", -9.0, "a term linear in x above a threshold", ""),
+        ("der(v)", "contact", ("x",), "at", 5.0, "that the data do not pass", "x = 4 V"),
+        ("output y", "clip_above", (), "limit", -9.0, "an upper limit", ""),
+    ],
+)  # fmt: skip
+def test_a_threshold_is_named_only_if_the_data_pass_it(
+    site, form, variables, coefficient, low, words, told
+):
+    found = passing(site, form, low, 9.0, *variables, coefficient=coefficient)
+    assert found.words.endswith(words)
+    assert told in found.sentence
+    assert ("the data do not" in found.sentence.partition(";")[2]) is bool(told)
+
+
+@pytest.mark.parametrize(
+    ("low", "words"),
+    [(-9.0, "end stops on both sides (play between them)"), (-2.0, "end stop")],
+)
+def test_end_stops_are_those_that_the_data_reach(low, words):
+    units = {"v": "m/s", "x": "m"}
+    x = np.linspace(low, 9.0, 99)
+    curve = seen(x, -np.sign(x) * np.maximum(np.abs(x) - 4.0, 0.0), integral_of="v")
+    found = described(
+        "der(v)", "gap", "x", estimates=[estimate("at", 4.0, "m")], curve=curve, units=units
+    )
+    assert found.words == words
 
 
 def test_a_periodic_error_says_after_which_distance_it_repeats():

@@ -29,6 +29,7 @@ from cluster_est.closed_loop.workbench import LoopScope
 from cluster_est.methods.method import Ending
 from cluster_est.problem.display import in_sentences
 from cluster_est.statistics.whiteness import SmoothnessTest
+from workers.effects.forms import FORMS
 
 PROBLEM = made_problem(100, 100, 100, 100)
 FLOOR = 400.0
@@ -444,15 +445,24 @@ def test_what_is_left_of_one_output_does_not_drown_in_the_noise_of_many(excess, 
 DONE = made_result(PROBLEM, ())
 
 
-def notes(verdict, before=DONE, after=DONE, squares=80.0):
-    """The notes of a search that has ended with this verdict, and with these fits."""
-    base = fit_with_squares(PROBLEM, squares)
+def accounted(verdict, before=DONE, after=DONE, squares=80.0, errors=(), added=(), first=""):
+    """The result of a search that has ended with this verdict, and with these fits."""
+    base = fit_with_squares(PROBLEM, 9.0 * squares if added else squares)
     last = made_round(None, made_screening(base.jacobian, base.residuals, [], []))
-    found = made_selection(base, base, last)
-    fits = LastFits(before, after, ())
-    return account(
-        made_fitter(PROBLEM), LastAnswer(found, ReasonedVerdict(verdict, ""), fits), LoopScope()
-    ).notes
+    now = fit_with_squares(PROBLEM, squares, [made_candidate(name) for name in added])
+    answer = LastAnswer(
+        replace(
+            made_selection(base, now if added else base, last),
+            path=(structure("a", 1.0, accepted=True), structure("b", 1.0)),
+        ),
+        ReasonedVerdict(verdict, "", first=first),
+        LastFits(before, after, tuple(errors)),
+    )
+    return account(made_fitter(PROBLEM), answer, LoopScope(inputs=(("F", "F jumps"),)))
+
+
+def notes(*given, **known):
+    return accounted(*given, **known).notes
 
 
 def ended(ending: Ending):
@@ -476,6 +486,62 @@ def test_intervals_that_do_not_allow_for_what_is_left_are_said_to_be_too_narrow(
     """Only if more than noise is left: a fit may reach the noise and have another fault."""
     narrow = any("so they are too narrow" in note for note in notes(verdict, squares=squares))
     assert narrow is (verdict is Verdict.UNEXPLAINED and squares > 400.0)
+
+
+@pytest.fixture
+def unsimulated(monkeypatch):
+    """Leave out what `account` would simulate."""
+    nothing = {"effect_curves": (), "resampled_choices": None, "competing_models": ()}
+    for name, found in nothing.items():
+        monkeypatch.setattr(
+            f"cluster_est.closed_loop.account.{name}", lambda *_, found=found: found
+        )
+
+
+def own_memory():
+    """The forms that remember: a delay has a memory, a lag has a state of its own."""
+    return [FORMS["output", "delay"], FORMS["output", "lag"]]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "squares", "said"),
+    [
+        (Verdict.NONE, 400.0, False),
+        (Verdict.NONE, 900.0, True),
+        (Verdict.UNEXPLAINED, 400.0, True),
+        (Verdict.PARTIAL, 400.0, True),
+    ],
+)
+def test_a_jump_of_an_input_is_noted_only_if_something_is_left(verdict, squares, said):
+    assert ("F jumps" in notes(verdict, squares=squares)) is said
+
+
+def test_a_jump_of_an_input_is_noted_if_an_effect_remembers_the_past(monkeypatch, unsimulated):
+    def found():
+        return notes(Verdict.FOUND, squares=400.0, errors=changes((3.0, 1.0)), added=["a"])
+
+    assert "F jumps" not in found()
+    for form in own_memory():
+        with monkeypatch.context() as patched:
+            late = replace(made_candidate("a"), form=form)
+            patched.setattr(f"{__name__}.made_candidate", lambda _, late=late: late)
+            assert "F jumps" in found()
+
+
+def test_leads_alone_are_found_in_part_and_sets_have_no_probabilities(unsimulated):
+    """Three effects at one place leave 1.3 times the noise: most such effects are wrong."""
+    sure = accounted(Verdict.FOUND, errors=changes((3.0, 1.0)), added=["a"])
+    assert (sure.verdict, bool(sure.likely)) == (Verdict.FOUND, True)
+    leads = accounted(Verdict.FOUND, errors=changes((3.0, 1.3)), added=["a", "b", "c"])
+    assert (leads.verdict, leads.likely) == (Verdict.PARTIAL, ())
+    assert not any(effect.claimed for effect in leads.effects)
+    assert "none of them is more likely right than wrong. Probability that" in leads.message
+
+
+def test_what_the_reason_asks_for_first_stays():
+    assert accounted(Verdict.UNEXPLAINED, first="correct the records").first == (
+        "correct the records"
+    )
 
 
 def structure(name: str, times: float, *, accepted: bool = False) -> ComparedStructure:

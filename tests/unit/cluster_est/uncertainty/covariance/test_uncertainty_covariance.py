@@ -348,6 +348,16 @@ class TestIncomplete:
         assert bool(notes) == bool(said)
         assert not said or re.search(said, notes[0])
 
+    def test_more_samples_are_no_advice_against_a_systematic_error(self):
+        curves = decays(count=1)
+        short = replace(curves, times=TIMES[:4], measured=[curves.measured[0][:4]])
+        _, space, solution = short.solve()
+        found = assess(space, solution)
+        for systematic in (False, True):
+            said = found.sentences_of(systematic=systematic)
+            assert any("1 degree of freedom" in each for each in said)
+            assert any("more samples" in each for each in said) is not systematic
+
     def test_an_active_constraint_on_a_signal_is_noted(self):
         _, space, solution = decays(count=1).solve()
         vars(space)["constraint_names"] = ("T [e0]",)
