@@ -130,8 +130,7 @@ def main() -> int:
         options.page.write_text(text, encoding="utf-8")
         return 0
     if options.parts_page:
-        deleted = read_parts(options.deleted) if options.deleted else {}
-        text = parts_page(read_parts(options.out), deleted)
+        text = parts_page(read_parts(options.out))
         options.parts_page.write_text(text, encoding="utf-8")
         return 0
     cases = choose(options)
@@ -233,9 +232,6 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--parts-page", type=Path, help="write the page about parts left out and run nothing"
-    )
-    parser.add_argument(
-        "--deleted", type=Path, help="with --parts-page: records of a search with further parts"
     )
     parser.add_argument(
         "--hidden-table", action="store_true", help="print that of hidden dynamics and run nothing"

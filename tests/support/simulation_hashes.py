@@ -60,6 +60,8 @@ def of_every_form() -> Iterator[tuple[str, Effect, Sequence[float]]]:
         values = 0.005 + np.arange(1, 1 + len(form.coefficients)) * 0.037 % 0.03
         for i, coefficient in enumerate(form.coefficients):
             values[i] = {"low": -0.01, "high": 0.01}.get(coefficient.name, values[i])
+        if (kind, name) == ("input", "hysteresis"):
+            values[:] = 0.01, 1.0, 0.5  # with shorter ones, the steps of rk4 are too long
         yield f"{kind}_{name}", Effect("e", SITES[kind], name, variables), values.tolist()
 
 

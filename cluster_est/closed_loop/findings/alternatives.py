@@ -197,7 +197,11 @@ def alternatives_of(
             made.append(named)
             continue
         criterion = float(rival.criterion - won.criterion)
-        nested = size < SAME_PREDICTION and contains(other, candidate)
+        equal, more = size < SAME_PREDICTION, rival.fitted.space.size - won.fitted.space.size
+        nested = equal and contains(other, candidate)
+        same_law = equal and not nested and may_agree(other, candidate)
+        if same_law and more > 0:
+            continue  # the law itself, with a freedom that the data do not use
         made.append(
             replace(
                 named,
@@ -208,8 +212,8 @@ def alternatives_of(
                 difference=size,
                 parameters=_moved_parameters(result, rival),
                 nested=nested,
-                same_law=size < SAME_PREDICTION and not nested and may_agree(other, candidate),
-                unknowns=rival.fitted.space.size - won.fitted.space.size,
+                same_law=same_law,
+                unknowns=more,
                 better=bool(others) and criterion < -REFINEMENT.equal,
             )
         )

@@ -215,7 +215,8 @@ class ComparedStructure:
         Share of resamplings of the experiments in which the set is the best; NaN if it is not
         known.
     move
-        Name (as in `closed_loop.without`) of the part of the search that proposed the set.
+        Name (as in `closed_loop.without`) of the part of the search that proposed the set; "" if
+        the set was compared with the answer after the search.
     stopped_by
         Name of the gate that refused the set; "" if another set was better.
     left_out, held_out

@@ -213,6 +213,16 @@ def test_parts_that_were_left_out_are_compared_on_the_cases_that_came_to_an_end(
     assert sum(line.startswith(("| restarts", "| merge+drop")) for line in listed) == 2 + 2
 
 
+def test_parts_that_the_search_no_longer_has_are_listed_as_deleted():
+    one = {"a": judged()}
+    runs = {"as it is": one, "restarts": one, "drop": one, "drop+waves": one}
+    kept, _, deleted = parts_page(runs).partition("## Parts that were deleted")
+    assert "| drop | " in kept
+    assert "| drop+waves | " in kept
+    assert "| restarts | " in deleted
+    assert "| restarts | " not in kept
+
+
 def test_what_is_said_without_a_part_that_changed_nothing_is_known():
     whole = replace(judged(), active=["add"], spans=[("restarts", 10.0, 30.0)], simulations=100.0)
     way = Way(ce.LoopSettings(), Sampling(), ThinningSettings())
