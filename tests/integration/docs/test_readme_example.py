@@ -25,7 +25,7 @@ def run(tmp_path_factory) -> Path:
 def shown() -> list[str]:
     """The lines of output in the README; one that is too long for the page goes on in the next."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    block = text[text.index("    verdict: ") : text.index("\n\nThe output also names")]
+    block = text[text.index("    verdict: ") : text.index("\n\nIf the data cannot distinguish")]
     joined = re.sub(r"\n {10,}", " ", block)
     lines = [line.removeprefix("    ") for line in joined.splitlines() if line]
     return [f"{lines[0]} {lines[1]}", *lines[2:]]
