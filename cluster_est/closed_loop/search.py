@@ -272,7 +272,7 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
             begun = move.widened(fitter, begun)
             proposals = [
                 replace(proposal, move=proposal.move or move.part)
-                for proposal in move.propose(fitter, begun)
+                for proposal in move.propose(fitter, begun, best)
             ]
             own = choose(fitter, begun, proposals)
             compared = (*best.compared, *proposals)

@@ -62,6 +62,8 @@ class LoopPart(enum.StrEnum):
 
     ADD = "add"
     ADD_TWO = "add two"
+    BEAM = "beam"
+    EXCLUDE = "exclude"
     FREE_CURVE = "free curve"
     FREE_DYNAMICS = "free dynamics"
     CURVE_INSTEAD = "curve instead"

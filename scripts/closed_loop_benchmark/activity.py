@@ -29,9 +29,18 @@ from cluster_est.closed_loop.settings import LoopPart
 
 Calls = Callable[..., Any]
 
+LAST_RESORT = {
+    move.part
+    for move in moves.MOVES
+    if move.preferred in (moves.own_if_it_won, moves.better_of_free)
+}
+"""Moves without influence if their proposals do not win."""
+
 WATCHED = {
-    *(move.part for move in moves.MOVES if move.part is not LoopPart.ADD),
+    *LAST_RESORT,
+    LoopPart.BEAM,
     LoopPart.NEXT_BEST,
+    LoopPart.ADD_TWO,
     LoopPart.ANSWER,
     LoopPart.STRENGTHS,
     LoopPart.SIBLINGS,
@@ -151,6 +160,7 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "refit_siblings": siblings,
             "release_widths": widths,
             "_other_forms": watched(part.OTHER_FORMS, moves._other_forms, _any_found),
+            "distinct": watched(part.BEAM, moves.distinct, _any_found),
         },
         argument_functions: {
             "refit_siblings": siblings,
@@ -185,16 +195,25 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
 
 
 def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
-    """Watch whether a move is preferred to those before it; the move `ADD` always counts."""
+    """Watch moves of last resort, and `ADD_TWO`; the move `ADD` always counts.
+
+    Refused pairs have an influence only if `EXCLUDE` can use them.
+    """
     if move.part is LoopPart.ADD:
         return move
     propose = notes.watched(move.part, move.propose, lambda *_: False)
-    preferred = notes.watched(move.part, move.preferred, _wins)
+    preferred = notes.watched(
+        move.part, move.preferred, _wins if move.part in LAST_RESORT else _wins_or_is_used
+    )
     return replace(move, propose=propose, preferred=preferred)
 
 
-def _wins(kept: RoundEnd, _begun: RoundStart, _best: RoundEnd, own: RoundEnd) -> bool:
-    return kept is own
+def _wins(_: RoundEnd, _begun: RoundStart, _best: RoundEnd, own: RoundEnd) -> bool:
+    return own.won is not None
+
+
+def _wins_or_is_used(kept: RoundEnd, begun: RoundStart, best: RoundEnd, own: RoundEnd) -> bool:
+    return kept is own or (best.won is None and bool(begun.model.added))
 
 
 def _replaced(ends: Sequence[SelectionResult], _: Fitter, grown: SelectionResult) -> bool:

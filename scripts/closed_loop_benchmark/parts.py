@@ -60,11 +60,6 @@ All systems may be used for tuning. Pairs and triples are drawn at random from t
 benchmark, in addition to those that it lists.
 """
 
-DELETED = """\
-- `beam` extended single effects to pairs if no single effect was accepted.
-- `exclude` proposed the best refused set without an effect that was accepted before.
-"""
-
 DELETED_BEFORE = """\
 Parts that were deleted before, measured on the search of that time:
 
@@ -180,7 +175,7 @@ def parts_page(runs: Runs) -> str:
         "## Parts that were deleted",
     ]
     if deleted:
-        parts += [DELETED, paired({first: whole, **deleted})]
+        parts.append(paired({first: whole, **deleted}))
     parts.append(DELETED_BEFORE)
     return "\n\n".join(part.rstrip() for part in parts) + "\n"
 

@@ -74,11 +74,12 @@ from cluster_est.statistics.whitening import deviance, fit_autoregression
 from workers.messages import FloatArray
 
 
-def free_curve(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
+def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose free curves, and the forms of the library to which the best curve leads.
 
     Curves of a switch are included, because no named effect passes in this round.
     """
+    del best
     coarse = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
     coarse = sorted(coarse, key=lambda c: c.criterion)
     found = [*coarse, *finer_curves(fitter, begun, coarse)]
@@ -122,8 +123,9 @@ def with_filters(fitter: Fitter, begun: RoundStart) -> RoundStart:
     return replace(begun, screening=replace(begun.screening, ranking=ranking))
 
 
-def free_dynamics(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
+def free_dynamics(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose free filters, and the forms of the library to which the best filter leads."""
+    del best
     filters = refit_filters(fitter, begun)
     return [*filters, *refit_named(fitter, begun, filters)]
 

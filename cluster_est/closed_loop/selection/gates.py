@@ -27,6 +27,7 @@ from cluster_est.closed_loop.selection.acceptance import (
 )
 from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
+    full_refit,
     most_parsimonious,
 )
 from cluster_est.closed_loop.selection.rounds import (
@@ -38,7 +39,7 @@ from cluster_est.closed_loop.selection.rounds import (
     leaves_more_than_noise,
     out_of_reach,
 )
-from cluster_est.closed_loop.settings import LoopPart
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression
 from workers.messages import FloatArray
@@ -87,7 +88,8 @@ class Attempt:
     Attributes
     ----------
     begun
-        The start of the round, with the accepted structure.
+        The structure with which the proposal is compared: the accepted one with which the round
+        began, or the one that the proposal extends; see `extended_start`.
     chosen, after
         The proposal, and its leave-one-out prediction.
     gain
@@ -284,6 +286,9 @@ def first_refusal(fitter: Fitter, attempt: Attempt) -> Gate | None:
 def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandidate]) -> RoundEnd:
     """Return the best proposal that stays bounded and passes the gates.
 
+    A proposal that lacks an accepted effect must pass the gates twice: compared with the accepted
+    structure, which it replaces, and with the structure that it extends.
+
     The best fit may predict badly, for example with a flexible law. So if it is refused by a gate
     in `OF_ONE_STRUCTURE`, a few of the next best proposals are tested.
 
@@ -292,7 +297,8 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
     begun
         The start of the round.
     proposals
-        Refitted structures other than the accepted one.
+        Refitted structures other than the accepted one. A structure without additional effects
+        pays no penalty for the choice among the candidates.
     """
     current = begun.model
     if not proposals:
@@ -314,8 +320,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
             stopped[chosen.fitted.structure] = LoopPart.BOUNDED
             left = rest
             continue
-        attempt = _attempted(fitter, begun, chosen)
-        failed = first_refusal(fitter, attempt)
+        attempt, failed = _through_gates(fitter, begun, chosen)
         gains = attempt.gain, attempt.closed, attempt.coloured
         why_not = failed.reason if failed else None
         seen = SelectionRound(begun.screening, tuple(left), why_not, *gains)
@@ -329,11 +334,43 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
     return RoundEnd(refused or SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
 
 
-def _attempted(fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate) -> Attempt:
+def _through_gates(
+    fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate
+) -> tuple[Attempt, Gate | None]:
+    """Return the last comparison of a proposal, and the gate that it does not pass, if any."""
     after = predict(fitter, chosen.fitted)
+    attempt = _attempted(fitter, begun, chosen, after)
+    failed = first_refusal(fitter, attempt)
+    if failed is None and not begun.model.structure <= chosen.fitted.structure:
+        attempt = _attempted(fitter, extended_start(fitter, begun, chosen), chosen, after)
+        failed = first_refusal(fitter, attempt)
+    return attempt, failed
+
+
+def _attempted(
+    fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate, after: LeaveOneOutPrediction
+) -> Attempt:
     gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
     coloured = coloured_noise_explains(fitter.records, begun, chosen)
     return Attempt(begun, chosen, after, gain, closed, coloured)
+
+
+def extended_start(fitter: Fitter, begun: RoundStart, chosen: RefittedCandidate) -> RoundStart:
+    """Return the start of a round at the structure that a proposal extends.
+
+    A proposal that lacks an accepted effect extends only the declared model with the accepted
+    effects that it keeps. Without this comparison, a set that a gate refused at the declared model
+    could pass in a later round, after a worse effect was accepted.
+    """
+    kept, start = chosen.fitted.structure, begun.model.start
+    for position in reversed(range(len(begun.model.added))):
+        if begun.model.added[position].effect.name not in kept:
+            start = start.minus(position)
+    rest: FittedModel | None = None
+    if start.added:
+        (rest,) = fitter.fit(LoopStage.REFITS, [start], full_refit(fitter))
+    model = rest or begun.base
+    return replace(begun, model=model, prediction=predict(fitter, model))
 
 
 def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: FittedModel) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.screening.screen import place_of, rank
+from cluster_est.closed_loop.screening.screen import CandidateRanking, place_of, rank
 from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.argument_functions import (
     criterion_falls,
@@ -24,7 +24,7 @@ from cluster_est.closed_loop.selection.argument_functions import (
     refit_siblings,
     with_filters,
 )
-from cluster_est.closed_loop.selection.gates import SELECTION
+from cluster_est.closed_loop.selection.gates import GATES, SELECTION, beyond_coloured_noise
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     PruningBound,
@@ -34,10 +34,14 @@ from cluster_est.closed_loop.selection.linear_model import (
     shares_left,
 )
 from cluster_est.closed_loop.selection.refits import (
+    ALIKE,
+    SHORT,
     Growth,
     RefittedCandidate,
+    best_first,
     full_refit,
     refit,
+    refit_fully,
     refit_pairs,
 )
 from cluster_est.closed_loop.selection.rounds import (
@@ -52,9 +56,13 @@ from cluster_est.closed_loop.selection.rounds import (
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.problem.parameter import Parameter
 from workers.effects.kinds import GridScale
+from workers.messages import FloatArray
 
 WIDTHS = (0.3, 2.5, 8.0, 25.0)
 """Widths of a switch that are tried, relative to the held width."""
+
+BEAM = 4
+"""Largest number of single effects that are extended to pairs."""
 
 DROP_PRICE = 2.0
 """Largest rise of the criterion for which an effect is dropped, as a multiple of the logarithm of
@@ -70,7 +78,7 @@ class Move:
     part
         Its name.
     propose
-        A function that refits structures; returns the best first.
+        A function that refits structures, given the best result so far; returns the best first.
     is_worth
         Whether the move is tried, given the result of the moves before it.
     preferred
@@ -80,30 +88,27 @@ class Move:
     """
 
     part: LoopPart
-    propose: Callable[[Fitter, RoundStart], list[RefittedCandidate]]
+    propose: Callable[[Fitter, RoundStart, RoundEnd], list[RefittedCandidate]]
     is_worth: Callable[[RoundStart, RoundEnd], bool]
     preferred: Callable[[RoundStart, RoundEnd, RoundEnd], RoundEnd]
     widened: Callable[[Fitter, RoundStart], RoundStart] = lambda _, begun: begun
 
 
-def add(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
-    """Propose structures with one more effect; the best comes first, without repeats."""
-    model, ranking = begun.model, begun.screening.ranking
-    bound = begun.bound(sse=useful_sse(begun, len(model.added) + 1))
-    found = refit(fitter, model, ranking, begun.floor, begun.settings, bound)
-    found += refit_siblings(fitter, begun, model, ranking, found)
-    kept: dict[frozenset[str], RefittedCandidate] = {}
-    for contender in sorted(found, key=lambda c: c.criterion):
-        kept.setdefault(contender.fitted.structure, contender)
-    return with_widths(fitter, begun, list(kept.values()))
+def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose structures with one more effect."""
+    del best
+    return _grown(fitter, begun, begun.model, begun.screening.ranking)
 
 
-def add_two(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
-    """Propose structures with two more effects, from pairs of directions.
+def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose structures with two more effects: from pairs of directions, and from single effects.
 
     For a pair of directions, only the first step of both effects is known, which hardly separates
     forms at the same place. So other forms at the places of the best pair are compared, each at
-    the model with the other effect.
+    the model with the other effect. If both effects are large, the second one shows only at the
+    model with the first. So if no single effect passes, the best ones are extended: a beam search
+    of width `BEAM` (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon University,
+    1976).
     """
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
@@ -111,6 +116,16 @@ def add_two(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
     large = leaves_more_than_noise(begun.model, begun.floor)
     for other in _other_forms(fitter, begun, pairs[0], bound) if large and pairs else ():
         found.setdefault(other.fitted.structure, other)
+    grows = large and best.won is None and begun.has(LoopPart.BEAM)
+    singles = _that_may_grow(fitter, begun, best) if grows else []
+    for parent in distinct(fitter, begun, singles):
+        if can_be_linearised(fitter, parent):
+            ranking = rank(fitter, begun.settings, parent)
+            most = min((c.criterion for c in found.values()), default=np.inf)
+            for each in _grown(fitter, begun, parent, ranking, most):
+                known = found.setdefault(each.fitted.structure, each)
+                if each.criterion < known.criterion:
+                    found[each.fitted.structure] = each
     return sorted(found.values(), key=lambda c: c.criterion)
 
 
@@ -141,6 +156,61 @@ def _other_forms(
     return [replace(contender, move=LoopPart.OTHER_FORMS) for contender in found]
 
 
+def _grown(
+    fitter: Fitter,
+    begun: RoundStart,
+    parent: FittedModel,
+    ranking: CandidateRanking,
+    most: float = np.inf,
+) -> list[RefittedCandidate]:
+    """Refit structures with one more effect than a parent; the best comes first, without repeats.
+
+    A refit stops early if it can reach neither a criterion near `most` nor a useful improvement.
+    """
+    bound = begun.bound(most + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1))
+    found = refit(fitter, parent, ranking, begun.floor, begun.settings, bound)
+    found += refit_siblings(fitter, begun, parent, ranking, found)
+    best: dict[frozenset[str], RefittedCandidate] = {}
+    for contender in sorted(found, key=lambda c: c.criterion):
+        best.setdefault(contender.fitted.structure, contender)
+    return with_widths(fitter, begun, list(best.values()))
+
+
+def _that_may_grow(
+    fitter: Fitter, begun: RoundStart, best: RoundEnd
+) -> Sequence[RefittedCandidate]:
+    """Return all single effects; if the best may be noise, only those that noise cannot explain."""
+    first = best.seen.contenders[:1]
+    if not first or beyond_coloured_noise(fitter, begun, first):
+        return best.compared
+    return beyond_coloured_noise(fitter, begun, best.compared)
+
+
+def distinct(
+    fitter: Fitter, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[FittedModel]:
+    """Return the best structures with different predictions, refitted to convergence.
+
+    Structures with the same predictions leave the same residual, and lead to the same next effects.
+    A second one of them would waste a place in the beam.
+    """
+    kept: list[FittedModel] = []
+    changes: list[FloatArray] = []
+    for contender in sorted(contenders, key=lambda c: c.criterion):
+        change = contender.fitted.residuals - begun.base.residuals
+        change /= max(float(np.sqrt(np.add.reduce(change**2))), 1e-300)
+        alike = max((float(np.add.reduce(change * other)) for other in changes), default=0.0)
+        if contender.candidate.form.free or alike > ALIKE:
+            continue
+        kept.append(contender.fitted)
+        changes.append(change)
+        if len(kept) == BEAM:
+            break
+    done = {id(c.fitted) for c in contenders if c.full}
+    rough = [fitted for fitted in kept if id(fitted) not in done]
+    return [*(f for f in kept if id(f) in done), *refit_fully(fitter, rough)]
+
+
 def _two_are_worth(begun: RoundStart, best: RoundEnd) -> bool:
     """Return whether to try two effects at once: not if a single one closes most of the gap."""
     done = best.won is not None and best.seen.closed >= VERDICT.most
@@ -169,10 +239,32 @@ def _two_that_pay(begun: RoundStart, single: RoundEnd, double: RoundEnd) -> Roun
     return double if pays and double.prediction.is_better_than(single.prediction) else single
 
 
+def exclude(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose the best refused structure, without an effect that was accepted before.
+
+    The earlier effect may have stood for something that the structure now describes better, and may
+    spoil its predictions. This is the conditional exclusion of floating searches (P. Pudil,
+    J. Novovicova, J. Kittler, Floating search methods in feature selection, Pattern Recognition
+    Letters 15, 1119, 1994, DOI 10.1016/0167-8655(94)90127-9).
+    """
+    gates = {gate.part for gate in GATES}
+    refused = [c for c in best.compared if best.stopped.get(c.fitted.structure) in gates]
+    leading = min(refused, key=lambda c: c.criterion, default=None)
+    if leading is None or not can_be_claimed(begun, leading.fitted):
+        return []
+    model = leading.fitted
+    earlier = [i for i, own in enumerate(model.added) if own.effect.name in begun.model.structure]
+    starts = [model.start.minus(i) for i in earlier]
+    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    fits = refit_fully(fitter, [f for f in brief if can_be_claimed(begun, f)])
+    return best_first(fitter.records, fits)
+
+
 def own_if_it_won(begun: RoundStart, best: RoundEnd, own: RoundEnd) -> RoundEnd:
     """Select the result of a last-resort move if it has won; else the result before it.
 
-    Such a move is tried only if nothing else has won.
+    Such a move is tried only if nothing else has won. If it does not win, its proposals are
+    discarded. This is safe because only `exclude` reads proposals, those of the moves before it.
     """
     del begun
     return best if own.won is None else own
@@ -188,6 +280,12 @@ def better_of_free(begun: RoundStart, curve: RoundEnd, own: RoundEnd) -> RoundEn
 MOVES = (
     Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
     Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
+    Move(
+        LoopPart.EXCLUDE,
+        exclude,
+        lambda begun, best: best.won is None and bool(begun.model.added),
+        own_if_it_won,
+    ),
     Move(
         LoopPart.FREE_CURVE,
         free_curve,

@@ -88,7 +88,7 @@ def test_a_dead_zone_needs_no_other_part_than_that_which_adds_it():
     width = 0.3 * LARGEST
     problem = driven_by(*(lambda t, f: dead(f, width) for _ in range(2)))
     few = ce.LoopSettings(sites=("input F",), forms=("dead_zone",), draws=200, pairs=False)
-    others = ("add two", "free curve", "siblings", "drop", "next best")
+    others = ("add two", "exclude", "free curve", "siblings", "drop", "next best")
     results = [ce.close_loop(problem, settings=each) for each in (few, few.changed(without=others))]
     assert [effect.form for result in results for effect in result.effects] == 2 * ["dead_zone"]
     assert results[0].x == results[1].x

@@ -1,12 +1,14 @@
-"""When a search ends, curves that do not do everything, and siblings of the best candidate."""
+"""Earlier effects that are left out of what was refused, and curves that do not do everything."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support.loop_objects import (
     fit_with_squares,
     made_candidate,
+    made_fit,
     made_fitter,
     made_problem,
     made_refit,
@@ -20,7 +22,7 @@ from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.selection import argument_functions, gates
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import reason_to_stop
-from cluster_est.closed_loop.selection.moves import MOVES
+from cluster_est.closed_loop.selection.moves import MOVES, exclude
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     RejectionReason,
@@ -61,6 +63,83 @@ def begun_at(model, p=0.001):
     screening = made_screening(base.jacobian, base.residuals, column, [RIGHT], p=p, p_white=p)
     begun = made_start(base, screening, predicted=NOTHING, floor=100.0)
     return replace(begun, model=model)
+
+
+def refused(begun, fitter, squares, part=LoopPart.LEAST_GAIN):
+    """The end of a round whose best proposal, both effects, did not pass a gate."""
+    fitted = fit_with_squares(PROBLEM, squares, (WRONG, RIGHT))
+    contender = made_refit(fitted, fitted.criterion(fitter.records))
+    seen = SelectionRound(begun.screening, (contender,), RejectionReason.LITTLE_EXPLAINED)
+    return RoundEnd(seen, compared=(contender,), stopped={fitted.structure: part})
+
+
+def test_what_a_gate_refused_is_proposed_without_the_effect_that_was_there_before():
+    fitter = KnownFits({("right",): 150.0})
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG,)))
+    (proposal,) = exclude(fitter, begun, refused(begun, fitter, BOTH))
+    assert proposal.fitted.structure == {"right"}
+    assert proposal.full
+
+
+def slow_and_sharp(generator):
+    """Slow noise of the sensor with a slow drift in it, and a wave that no slow noise follows."""
+    noise = lfilter([1.0], [1.0, -0.97], generator.standard_normal(400))
+    drift = np.vander(np.linspace(-1.0, 1.0, 400), 2)
+    left = noise - drift @ np.linalg.lstsq(drift, noise, rcond=None)[0]
+    return noise, left, 2.0 * np.std(left) * (-1.0) ** (np.arange(400) // 7)
+
+
+@pytest.mark.parametrize("kept", [(), (made_candidate("kept"),)])
+@pytest.mark.parametrize("follows_noise", [True, False])
+def test_a_set_without_an_accepted_effect_passes_the_gates_of_what_it_extends(
+    monkeypatch, kept, follows_noise
+):
+    """The accepted effect is worse than the declared model in the coloured measure, not in itself.
+
+    The proposal takes a drift out of the noise, which slow noise does too, or removes a sharp wave.
+    """
+    problem = made_problem(400)
+    noise, left, sharp = slow_and_sharp(np.random.default_rng(5))
+    extended = made_fit(problem, noise if follows_noise else noise + sharp, kept)
+    accepted = made_fit(problem, left + 0.15 * sharp, (WRONG, *kept))
+    proposed = made_fit(problem, left, (*kept, RIGHT))
+    assert proposed.sse < accepted.sse < extended.sse
+    fitter = KnownFits({})
+    fitter.records, fitter.size = made_fitter(problem).records, 400
+    asked = []
+    fitter.fit = lambda stage, starts, method: asked.extend(starts) or [extended]
+    monkeypatch.setattr(gates, "may_go_on", lambda *_: True)
+    monkeypatch.setattr(
+        gates, "predict", lambda _, fitted: LeaveOneOutPrediction(np.array([fitted.sse]))
+    )
+    base = extended if not kept else made_fit(problem, 2.0 * noise + sharp)
+    columns = list(np.random.default_rng(6).standard_normal((50, 400, 1)))
+    others = [made_candidate(f"other {number}") for number in range(50)]
+    screening = made_screening(base.jacobian, base.residuals, columns, others)
+    begun = made_start(base, screening, predicted=base.sse, floor=0.9 * proposed.sse)
+    begun = replace(begun, model=accepted, prediction=gates.predict(fitter, accepted))
+    contender = made_refit(proposed, proposed.criterion(fitter.records))
+    end = gates.choose(fitter, begun, [contender])
+    assert (end.won is None) is follows_noise
+    assert end.seen.why is (RejectionReason.COLOURED_GAIN if follows_noise else None)
+    assert set(end.stopped.values()) == ({LoopPart.COLOURED_GAIN} if follows_noise else set())
+    assert [start.added for start in asked] == ([kept] if kept else [])
+
+
+def test_what_explains_too_little_without_it_is_not_proposed():
+    fitter = KnownFits({("right",): 9_000.0})
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG,)))
+    assert exclude(fitter, begun, refused(begun, fitter, BOTH)) == []
+
+
+@pytest.mark.parametrize(
+    ("squares", "part"), [(5_000.0, LoopPart.LEAST_GAIN), (BOTH, LoopPart.WAVES)]
+)
+def test_nothing_is_simulated_for_what_could_be_no_claim_or_is_a_wave(squares, part):
+    fitter = KnownFits({})
+    begun = begun_at(fit_with_squares(PROBLEM, ONE, (WRONG,)))
+    assert exclude(fitter, begun, refused(begun, fitter, squares, part)) == []
+    assert fitter.asked == []
 
 
 @pytest.mark.parametrize(
@@ -242,7 +321,7 @@ def test_a_search_ends_if_its_best_effects_explain_less_than_their_share(
 
 
 def test_a_sibling_starts_where_the_linear_model_expects_all_unknowns(monkeypatch):
-    """The data are those of k = 1.5 and a sibling of 0.9; the best effect imitates it."""
+    """The data are those of k = 1.5 and a sibling of strength 0.9; the best effect imitates them."""
     generator = np.random.default_rng(4)
     slope, right = generator.standard_normal((2, 100))
     wrong = right + 0.2 * slope + 0.1 * generator.standard_normal(100)
