@@ -321,7 +321,7 @@ def test_a_search_ends_if_its_best_effects_explain_less_than_their_share(
 
 
 def test_a_sibling_starts_where_the_linear_model_expects_all_unknowns(monkeypatch):
-    """The data are those of k = 1.5 and a sibling of strength 0.9; the best effect imitates them."""
+    """The data are those of k = 1.5 and a sibling of 0.9; the best effect imitates it."""
     generator = np.random.default_rng(4)
     slope, right = generator.standard_normal((2, 100))
     wrong = right + 0.2 * slope + 0.1 * generator.standard_normal(100)
