@@ -13,10 +13,21 @@ from statistics import median
 
 from measured_league.cases import LeagueCase
 from measured_league.picture import CURVES, held_out_record, picture
-from measured_league.runs import CaseFigures, Kind, RunFigures, read_case, run_folder
+from measured_league.runs import (
+    CaseFigures,
+    Kind,
+    NamedEffect,
+    RunFigures,
+    read_case,
+    run_folder,
+)
 
 NEAR_TEXTBOOK, NEAR_NOISE = 1.05, 1.5
 """Times the textbook's held-out error, and times the noise, that count as good."""
+CLAIMED = 0.5
+"""Probability from which an effect is a claim, and not only a lead."""
+CLOSES = 0.75
+"""Share of the squared held-out error above the noise that an effect must remove to be added."""
 HONEST = ("none", "none (coloured noise)", "partial", "unexplained")
 SAME = 1e-3
 """Held-out errors that differ by less than this part are the same."""
@@ -192,6 +203,10 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
             "the loop named the textbook's effect or an alias of it",
             lambda each: named(each, known),
         ),
+        (
+            "the loop claimed an effect that is physically wrong",
+            lambda each: claims_wrong(each, known[each.case.name]),
+        ),
         ("the loop increased the held-out error", made_worse),
         (f"more than {NEAR_NOISE} times the noise remains, and the verdict says so", says_so),
         (f"more than {NEAR_NOISE} times the noise remains, but the verdict is `found`", overclaims),
@@ -229,6 +244,13 @@ def named(each: CaseFigures, known: Mapping[str, CaseJudgements]) -> bool:
     return _rightness(each, known[each.case.name]) in (Rightness.RIGHT, Rightness.ALIAS)
 
 
+def claims_wrong(each: CaseFigures, known: CaseJudgements) -> bool:
+    """Whether an effect that the loop claims, rather than calling it a lead, is wrong."""
+    effects = each.loop.effects if each.loop else ()
+    claimed = [effect.name for effect in effects if effect.probability >= CLAIMED]
+    return any(known.of(name).rightness is Rightness.WRONG for name in claimed)
+
+
 def made_worse(each: CaseFigures) -> bool:
     """Whether the loop added something that predicts worse than the base model."""
     return bool(each.loop and each.loop.effects) and (
@@ -260,13 +282,16 @@ def _all_cases(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]
         unit = each.base.unit if each.base else "-"
         verdict = _verdict(each)
         rightness = _rightness(each, known[each.case.name]) or "-"
+        rightness = f"{rightness} (lead)" if _judged_leads(each) else rightness
         anchor = f"[{each.case.name}](#{each.case.name})"
         noise = number(each.noise)
         row = [anchor, unit, base, loop, textbook, noise, verdict, str(rightness)]
         rows.append([*row, *_cost(each.loop.figures if each.loop else None)])
     text = (
         "The columns base, loop and textbook show the errors on training / held-out data. The "
-        "column named says how the best name that the loop gave was judged."
+        "column named says how the best name that the loop gave was judged. If the textbook's own "
+        "effect removes less than three quarters of the squared held-out error above the noise, "
+        "the loop cannot add it, so its first lead is judged instead."
     )
     return f"{text}\n\n{table([*head, 'simulations', 's'], rows)}"
 
@@ -281,13 +306,15 @@ def _case(each: CaseFigures, known: CaseJudgements, pictures: Mapping[str, str])
         parts.append(known.remark)
     if each.loop:
         parts.append(_said(each))
+        effects = each.loop.effects or _judged_leads(each)
+        what = "added effect" if each.loop.effects else "lead that was not added"
         rows = [
-            [f"`{effect.name}`", f"`{effect.equation}`", judged.rightness.value, judged.why]
-            for effect in each.loop.effects
-            for judged in [known.of(effect.name)]
+            [f"`{e.name}`", f"`{e.equation}`", _sure(e), judged.rightness.value, judged.why]
+            for e in effects
+            for judged in [known.of(e.name)]
         ]
         if rows:
-            parts.append(table(["added effect", "equation", "judgement", "reason"], rows))
+            parts.append(table([what, "equation", "probability", "judgement", "reason"], rows))
     else:
         parts.append("The search for missing effects has no result for this case.")
     if case.name in pictures:
@@ -329,7 +356,24 @@ def _runs(each: CaseFigures) -> tuple[RunFigures | None, ...]:
 
 
 def _rightness(each: CaseFigures, known: CaseJudgements) -> Rightness | None:
-    return known.overall([effect.name for effect in each.loop.effects]) if each.loop else None
+    effects = each.loop.effects if each.loop else ()
+    return known.overall([effect.name for effect in effects or _judged_leads(each)])
+
+
+def _judged_leads(each: CaseFigures) -> tuple[NamedEffect, ...]:
+    """The first lead, if nothing was added and the textbook's effect is too small to be added."""
+    if not (each.loop and each.base and each.textbook) or each.loop.effects:
+        return ()
+    base, textbook = (run.test**2 - each.noise**2 for run in (each.base, each.textbook))
+    return each.loop.leads[:1] if base - textbook < CLOSES * base else ()
+
+
+def _sure(effect: NamedEffect) -> str:
+    """The probability that an effect is right; below `CLAIMED`, it is only a lead."""
+    if not math.isfinite(effect.probability):
+        return "-"
+    lead = "" if effect.probability >= CLAIMED else " (lead)"
+    return f"{effect.probability:.0%}{lead}"
 
 
 def _verdict(each: CaseFigures) -> str:

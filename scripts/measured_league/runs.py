@@ -154,10 +154,14 @@ class RunFigures:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that a loop has added: its name as "form at site of variables", and in words."""
+    """An effect that a loop has added, or a lead: its name as "form at site of variables".
+
+    `probability` is that of being right, as the loop says it; NaN for a lead that was not added.
+    """
 
     name: str
     equation: str
+    probability: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -171,6 +175,8 @@ class LoopFigures:
         structures that the search accepted, in this order. NaN where there is none.
     answer
         The same of its answer, which may be the base model.
+    leads
+        The effects that it did not add but names as its best guess, in their order.
     """
 
     figures: RunFigures
@@ -178,6 +184,7 @@ class LoopFigures:
     effects: tuple[NamedEffect, ...]
     path: Mapping[tuple[str, ...], float] = field(default_factory=dict)
     answer: float = math.nan
+    leads: tuple[NamedEffect, ...] = ()
 
     @property
     def over_least(self) -> float:
@@ -287,13 +294,17 @@ def errors_by_record(out: Path, case: LeagueCase, kind: Kind) -> dict[str, float
 def _loop(
     figures: RunFigures, facts: Mapping[str, Any], accepted: Mapping[tuple[str, ...], float]
 ) -> LoopFigures:
-    effects = tuple(
-        NamedEffect(effect_name(each["form"], each["site"], each["variables"]), each["equation"])
-        for each in facts["effects"]
-    )
+    effects, leads = (tuple(map(_effect, facts[key])) for key in ("effects", "rejected"))
     errors = facts["errors"]["test"]
     base, answer = (math.nan if errors[w] is None else errors[w] for w in ("before", "after"))
-    return LoopFigures(figures, facts["verdict"], effects, {(): base, **accepted}, answer)
+    path = {(): base, **accepted}
+    return LoopFigures(figures, facts["verdict"], effects, path, answer, leads)
+
+
+def _effect(each: Mapping[str, Any]) -> NamedEffect:
+    probability = (each["claim"] or {}).get("probability")
+    name = effect_name(each["form"], each["site"], each["variables"])
+    return NamedEffect(name, each["equation"], math.nan if probability is None else probability)
 
 
 def effect_name(form: str, site: str, variables: Iterable[str]) -> str:

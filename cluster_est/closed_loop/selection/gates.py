@@ -37,6 +37,7 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     SelectionRound,
     leaves_more_than_noise,
+    may_leave_noise,
     out_of_reach,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
@@ -184,7 +185,7 @@ STOPS = (
     ),
     Stop(
         LoopPart.COLOURED_NOISE,
-        lambda begun: begun.screening.p_white > begun.settings.significance,
+        lambda begun: _is_coloured_noise(begun),
         RejectionReason.COLOURED_NOISE,
         "setting: significance",
     ),
@@ -378,6 +379,18 @@ def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: F
     if begun.has(LoopPart.BOUNDED):
         return is_usable(fitter, fitted, trusted)
     return can_be_linearised(fitter, fitted)
+
+
+def _is_coloured_noise(begun: RoundStart) -> bool:
+    """Return whether autocorrelated noise of the declared sigma explains the residual.
+
+    An autoregression also follows a slow effect, such as friction in a short record. So if no sigma
+    is declared, or if the residual is larger than it, candidates are refitted, and the gate
+    `COLOURED_GAIN` compares them with autocorrelated noise.
+    """
+    if not begun.sigma_declared or begun.screening.p_white <= begun.settings.significance:
+        return False
+    return may_leave_noise(begun, begun.model)
 
 
 def _curve_does_most(begun: RoundStart) -> bool:

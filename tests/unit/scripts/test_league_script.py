@@ -20,7 +20,9 @@ from measured_league.page import (
     CaseJudgements,
     Judgement,
     Rightness,
+    claims_wrong,
     made_worse,
+    named,
     near_textbook,
     page_text,
     read_judgements,
@@ -133,6 +135,34 @@ def test_questions_of_the_summary():
     assert not says_so(figures(0.1, (DRAG,), "partial"))
 
 
+def with_lead(error: float, lead: NamedEffect = DRAG):
+    """The made-up case with a textbook fit of this error, and a loop that only has a lead."""
+    each = figures(2.0)
+    assert each.loop is not None
+    textbook = RunFigures(0.1, error, "m", 9, 1.0)
+    return replace(each, textbook=textbook, loop=replace(each.loop, leads=(lead,)))
+
+
+@pytest.mark.parametrize(
+    ("error", "counts"), [(1.2, True), (0.9, False)], ids=["closes 64 %", "closes 80 %"]
+)
+def test_a_lead_counts_where_the_textbook_effect_is_too_small_to_be_added(error, counts):
+    judgements = read_judgements()
+    each = with_lead(error)
+    assert named(each, judgements) is counts
+    assert ("| right (lead) |" in page_text([each], judgements, {})) is counts
+
+
+@pytest.mark.parametrize(("probability", "wrong"), [(0.6, True), (0.4, False)])
+def test_only_an_effect_that_is_more_likely_right_than_wrong_is_a_wrong_claim(probability, wrong):
+    false = Judgement(DRAG.name, Rightness.WRONG, "flies in a vacuum")
+    each = figures(0.1, (replace(DRAG, probability=probability),), "partial")
+    assert claims_wrong(each, CaseJudgements("", (false,))) is wrong
+    text = page_text([each], {"rocket": CaseJudgements("", (false,))}, {})
+    assert ("| 60% | physically wrong |" in text) is wrong
+    assert ("| 40% (lead) | physically wrong |" in text) is not wrong
+
+
 def test_the_page_has_every_case_with_its_figures_and_words():
     text = page_text([figures(0.1, (DRAG,), "found")], read_judgements(), {"rocket": "a/b.svg"})
     assert "| [rocket](#rocket) | m | 1 / 2 | 0.1 / 0.1 | 0.1 / 0.1 | 0.1 | found | right |" in text
@@ -182,8 +212,8 @@ def written_run(folder, structures, errors):
     pq.write_table(pa.Table.from_pylist(rows), folder / "structures.parquet")
     row = {"role": "test", "experiment": "e", "samples": 1, "rmse_after": 1.0, "unit": "m"}
     pq.write_table(pa.Table.from_pylist([row]), folder / "errors.parquet")
-    run = {"status": "done", "simulations": 1, "seconds": 1.0, "verdict": "partial", "effects": []}
-    facts = run | {"noise": {}, "errors": {"test": errors}}
+    run = {"status": "done", "simulations": 1, "seconds": 1.0, "verdict": "partial"}
+    facts = run | {"effects": [], "rejected": [], "noise": {}, "errors": {"test": errors}}
     (folder / "run.json").write_text(json.dumps(facts), encoding="utf-8")
 
 

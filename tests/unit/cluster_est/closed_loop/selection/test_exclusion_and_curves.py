@@ -143,6 +143,23 @@ def test_nothing_is_simulated_for_what_could_be_no_claim_or_is_a_wave(squares, p
 
 
 @pytest.mark.parametrize(
+    ("declared", "squares", "p_white", "reason"),
+    [
+        (True, 110.0, 0.5, RejectionReason.COLOURED_NOISE),
+        (True, 110.0, 0.001, None),
+        (True, 9_000.0, 0.5, None),
+        (False, 110.0, 0.5, None),
+    ],
+    ids=["coloured noise of the sigma", "no noise", "larger than the sigma", "unknown sigma"],
+)
+def test_only_coloured_noise_of_a_declared_sigma_ends_a_search(declared, squares, p_white, reason):
+    begun = begun_at(fit_with_squares(PROBLEM, squares))
+    screening = replace(begun.screening, p_white=p_white)
+    begun = replace(begun, screening=screening, sigma_declared=declared)
+    assert reason_to_stop(begun) is reason
+
+
+@pytest.mark.parametrize(
     ("squares", "reason"), [(4_000.0, None), (1_000.0, RejectionReason.FREE_CURVE)]
 )
 def test_something_may_be_added_to_a_curve_that_leaves_more_than_its_own_error(squares, reason):
