@@ -15,10 +15,11 @@ Regression Analysis, 1998, doi:10.1002/9781118625590), over structures, which ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.description import inputs_like_ramps
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
@@ -31,7 +32,7 @@ from cluster_est.closed_loop.numerical_error import (
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, findings, screen
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
-from cluster_est.closed_loop.selection.answer import answers, without_effects
+from cluster_est.closed_loop.selection.answer import answers
 from cluster_est.closed_loop.selection.argument_functions import curve_instead
 from cluster_est.closed_loop.selection.gates import choose, reason_to_stop
 from cluster_est.closed_loop.selection.moves import MOVES, drop, release_widths
@@ -141,14 +142,15 @@ def search_for_effects(
         reason = said or error.refusal
         ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, reason, first=first))]
     else:
-        grown = grow(
-            fitter,
-            settings,
-            base,
-            lambda fit: with_effects(fit).explainable,
-            lambda found: reached(found, tested),
-        )
-        ends = [_judged(fitter, found) for found in answers(fitter, grown)]
+
+        def grown(log: SearchLog) -> SelectionResult:
+            return grow(
+                log,
+                lambda fit: with_effects(fit).explainable,
+                lambda found: reached(found, tested),
+            )
+
+        ends = _judged_answers(grown, SearchLog.begun(fitter, settings, base))
         found, judged = ends[0]
         if said and judged.verdict is Verdict.UNEXPLAINED:
             reason = f"{said}; {judged.reason}"
@@ -216,9 +218,7 @@ def _interpolations_with_effects(
 
 
 def grow(
-    fitter: Fitter,
-    settings: LoopSettings,
-    base: FittedModel,
+    log: SearchLog,
     numerical: Callable[[FittedModel], float],
     reached: Callable[[SelectionResult], None],
 ) -> SelectionResult:
@@ -227,7 +227,7 @@ def grow(
     For a fitted model, `numerical` returns the decrease of the sum of squares that the numerical
     error of the solver could cause.
     """
-    log = SearchLog.begun(fitter, settings, base)
+    fitter, base = log.fitter, log.base
     now = AcceptedStructure(base, log.predicted)
     first: RoundStart | None = None
     passed: set[frozenset[str]] = set()
@@ -281,25 +281,39 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
     return best
 
 
-def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, ReasonedVerdict]:
-    """Judge the result; functions of time are kept only if no more than noise is left.
+def _judged_answers(
+    grown: Callable[[SearchLog], SelectionResult], log: SearchLog
+) -> list[tuple[SelectionResult, ReasonedVerdict]]:
+    """Search, and judge the answers; functions of time are kept only if no more than noise is left.
 
-    A drift or a sinusoid in time can follow the slow part of any disturbance. It may then close
-    most of the gap to the noise and predict data that were left out, without being the missing
-    effect.
+    A drift or a sinusoid in time can follow the slow part of any disturbance, and of any effect
+    that changes slowly, such as friction in a free decay. It may then close most of the gap to the
+    noise and predict data that were left out, and displace the missing effect. So if more than
+    noise is left, the search is repeated without functions of time.
     """
+    fitter = log.fitter
+    ends = [(found, judge(fitter, found)) for found in answers(fitter, grown(log))]
+    kept = [end for end in ends if not _imitated(*end)]
+    gone = _imitated(*ends[0])
+    if not gone:
+        return kept
+    again = grown(log.without_functions_of_time(gone))
+    if again.last.why is RejectionReason.NO_CANDIDATE:
+        last = replace(again.last, why=RejectionReason.FUNCTIONS_OF_TIME)
+        again = replace(again, steps=(*again.steps[:-1], last))
+    again = replace(again, settings=log.settings)
+    ends = [(found, judge(fitter, found)) for found in answers(fitter, again)]
+    said = (
+        f"{' and '.join(c.label for c in gone)} would leave more than noise and was not added, "
+        "because a function of time can imitate any slow disturbance"
+    )
+    return [(found, replace(judged, reason=f"{judged.reason}; {said}")) for found, judged in ends]
+
+
+def _imitated(found: SelectionResult, judged: ReasonedVerdict) -> list[EffectCandidate]:
+    """Return the functions of time of an answer that leaves more than noise."""
     gone = [c for c in found.current.added if c.form.of_time_alone]
-    judged = judge(fitter, found)
-    kept = LoopPart.FUNCTIONS_OF_TIME in found.settings.without
-    if judged.verdict is not Verdict.PARTIAL or not gone or kept:
-        return found, judged
-    places = [i for i, c in enumerate(found.current.added) if c in gone]
-    found = without_effects(fitter, found, places, LoopPart.FUNCTIONS_OF_TIME)
-    judged = judge(fitter, found)
-    if not found.current.added:
-        return found, judged
-    said = f"{' and '.join(c.label for c in gone)} would leave more than noise and was not added"
-    return found, replace(judged, reason=f"{judged.reason}; {said}")
+    return gone if judged.verdict is Verdict.PARTIAL else []
 
 
 @dataclass
@@ -327,6 +341,22 @@ class SearchLog:
         noise = noise_of(fitter, base.residuals)
         floor = fitter.noise_floor(noise)
         return cls(fitter, settings, base, predict(fitter, base), noise, floor)
+
+    def without_functions_of_time(self, gone: Sequence[EffectCandidate]) -> SearchLog:
+        """Return the log of a second search, which tries no functions of time.
+
+        It begins with the rounds of the first search, whose answer contains the functions of time
+        `gone`.
+        """
+        part, names = LoopPart.FUNCTIONS_OF_TIME, {c.label for c in gone}
+        path = [
+            replace(row, accepted=False, stopped_by=part if names & {*row.effects} else "")
+            if row.accepted
+            else row
+            for row in self.path
+        ]
+        settings = self.settings.changed(without=(*self.settings.without, part))
+        return replace(self, settings=settings, path=path, accepted=[])
 
     def note(self, now: AcceptedStructure, begun: RoundStart, end: RoundEnd) -> None:
         """Add a round, and the structure with which it began."""

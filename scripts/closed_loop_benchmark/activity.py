@@ -20,9 +20,8 @@ from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
 from cluster_est.closed_loop.screening import screen
 from cluster_est.closed_loop.screening.places import rank_places
-from cluster_est.closed_loop.selection import answer, argument_functions, gates, moves
+from cluster_est.closed_loop.selection import answer, argument_functions, gates, moves, refits
 from cluster_est.closed_loop.selection.acceptance import is_usable
-from cluster_est.closed_loop.selection.answer import without_effects
 from cluster_est.closed_loop.selection.argument_functions import refit_siblings
 from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart, SelectionResult
 from cluster_est.closed_loop.settings import LoopPart
@@ -41,6 +40,7 @@ WATCHED = {
     LoopPart.BEAM,
     LoopPart.NEXT_BEST,
     LoopPart.ADD_TWO,
+    LoopPart.LOWER_RANKS,
     LoopPart.ANSWER,
     LoopPart.STRENGTHS,
     LoopPart.SIBLINGS,
@@ -51,7 +51,6 @@ WATCHED = {
     LoopPart.PLACES_FIRST,
     LoopPart.DROP,
     LoopPart.SWITCH_WIDTHS,
-    LoopPart.FUNCTIONS_OF_TIME,
     LoopPart.BOUNDED,
     *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
 } - {LoopPart.OUT_OF_REACH}
@@ -171,6 +170,9 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
                 part.OTHER_PLACES, argument_functions._in_other_places, _any_found
             ),
         },
+        refits: {
+            "refit_lower_ranks": watched(part.LOWER_RANKS, refits.refit_lower_ranks, _any_found)
+        },
         answer: {
             "least_determined": watched(
                 part.STRENGTHS, answer.least_determined, lambda worst, *_: worst is not None
@@ -189,7 +191,6 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
                 lambda end, *_: end is not None,
             ),
             "answers": watched(part.ANSWER, answer.answers, _replaced),
-            "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
         },
     }
 

@@ -23,7 +23,7 @@ from cluster_est.closed_loop.candidates.arguments import (
 from cluster_est.closed_loop.candidates.array_forms import shape_of
 from cluster_est.closed_loop.candidates.scales import SHORTEST_TIME, SignalScales
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
-from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.problem.declared_effects import equation_text
 from cluster_est.problem.parameter import Parameter, Scale
 from cluster_est.problem.problem import Problem
@@ -337,12 +337,14 @@ class OpenSites:
     def forms_at(self, site: EffectSite, *, later: bool = False) -> list[EffectForm]:
         """Return the forms to try at a site; if `later`, including those that are tried later."""
         forms, model = self.settings.forms, self.problem.model
+        timed = LoopPart.FUNCTIONS_OF_TIME not in self.settings.without
         exchange = model.interface == "model_exchange"
         kinks = (exchange or self.description.variable_steps) and not noise_names(self.problem)
         return [
             form
             for (kind, name), form in FORMS.items()
             if kind == site.kind
+            and (timed or not form.of_time_alone)
             and (name in forms if forms else _is_first(form) and form.later <= later)
             and (kinks or not form.memory)  # a delay needs values between the samples
         ]

@@ -138,7 +138,7 @@ def _complexity(fitted: FittedModel) -> tuple[int, int]:
 def without_undetermined(fitter: Fitter, found: SelectionResult) -> SelectionResult:
     """Remove effects whose strengths may all be zero, the least determined effect first."""
     while (worst := least_determined(fitter, found.current)) is not None:
-        found = without_effects(fitter, found, [worst], LoopPart.STRENGTHS)
+        found = without_effect(fitter, found, worst)
     return found
 
 
@@ -244,25 +244,21 @@ def _joint_p(
     return float(fdtrc(len(free), known.basis_degrees, statistic))
 
 
-def without_effects(
+def without_effect(
     fitter: Fitter,
     found: SelectionResult,
-    positions: Sequence[int],
-    part: LoopPart,
+    position: int,
 ) -> SelectionResult:
-    """Remove effects from a result, by their positions, and refit the remaining structure.
+    """Remove an effect from a result, by its position, and refit the remaining structure.
 
-    If the rest cannot be simulated or becomes unbounded, the result is the declared model. `part`
-    is the part of the search that removes the effects.
+    If the rest cannot be simulated or becomes unbounded, the result is the declared model.
     """
-    start = found.current.start
-    for position in sorted(positions, reverse=True):
-        start = start.minus(position)
+    start, part = found.current.start.minus(position), LoopPart.STRENGTHS
     kept, prediction, screening = found.base, found.base_prediction, found.steps[0].screening
-    gone = {found.current.added[position].label for position in positions}
+    gone = found.current.added[position].label
     path = tuple(
         replace(row, accepted=False, stopped_by=part)
-        if row.accepted and gone & {*row.effects}
+        if row.accepted and gone in row.effects
         else row
         for row in found.path
     )
@@ -274,7 +270,7 @@ def without_effects(
             screening = screen(fitter, found.settings, refitted, number)
             row = compared_structure(fitter.records, found.base, refitted, floor, number, part)
             path = (*path, row)
-    seen = SelectionRound(screening, (), RejectionReason[part.name])
+    seen = SelectionRound(screening, (), RejectionReason.STRENGTHS)
     rivals = {name: own for name, own in found.rivals.items() if name in kept.structure}
     return replace(
         found,

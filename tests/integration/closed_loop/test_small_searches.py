@@ -140,7 +140,8 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     found = ce.close_loop(problem, settings=settings("der(v)", "drift", "coulomb"))
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
-    assert "drifts or sinusoids in time would remove a part of the squared error" in found.message
+    assert "drift at der(v) would leave more than noise and was not added" in found.message
+    assert "a function of time can imitate any slow disturbance" in found.message
     assert "The cause may also be an unmeasured disturbance" in found.message
     assert any("so they are too narrow" in note for note in found.notes)
     assert any("largest in" in note or "spread evenly" in note for note in found.notes)
