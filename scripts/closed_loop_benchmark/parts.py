@@ -185,6 +185,7 @@ def parts_page(runs: Runs) -> str:
         paired({first: whole, **kept}),
         "## Cases that are right only with a part, or only without it",
         markdown(head, differing),
+        MEASURED,
         "## Parts that were deleted",
     ]
     if deleted:

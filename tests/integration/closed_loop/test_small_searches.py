@@ -155,6 +155,14 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     assert left.over_noise > 2.0
 
 
+def test_with_functions_of_time_alone_there_is_nothing_else_to_find():
+    problem = driven_by(*(lambda t, f, s=s: f + 2.0 * t + gusts(s, 0.5) for s in (1, 2)))
+    found = ce.close_loop(problem, settings=settings("der(v)", "drift"))
+    assert found.verdict == Verdict.UNEXPLAINED
+    assert "closed_loop.effects has only functions of time; drift at der(v)" in found.message
+    assert [each.label for each in found.rejected] == ["drift at der(v)"]
+
+
 @pytest.mark.slow
 def test_what_was_found_beside_such_a_drift_is_judged_without_it():
     """A small gap is closed by a dead zone at the force, most of the rest would be by a drift."""

@@ -310,6 +310,15 @@ def test_settings_choose_forms_and_sites():
     }
 
 
+@pytest.mark.parametrize(
+    ("without", "timed"), [((), True), (("functions of time",), False)], ids=["all", "mechanisms"]
+)
+def test_functions_of_time_can_be_left_out(without, timed):
+    found = listed(missing_effect_problem("pendulum"), without=without)
+    assert any(c.form.of_time_alone for c in found) is timed
+    assert {"coulomb", "gain"} <= {c.form.name for c in found}
+
+
 def declaring(effect):
     strength = Parameter(f"{effect.name}.k", 0.1, (0.0, 1.0))
     return replace(SPRING, effects=(effect,), parameters=(*SPRING.parameters, strength))
