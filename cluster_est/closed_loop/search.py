@@ -8,6 +8,7 @@
     if the model leaves more than noise: try a free curve or filter instead of all effects
     model = the accepted one that best predicts data that are left out of refits
     judge the model
+    if it has functions of time but leaves more than noise: search again without them
 
 It is stepwise forward selection with backward elimination (N. R. Draper, H. Smith, Applied
 Regression Analysis, 1998, doi:10.1002/9781118625590), over structures, which are sets of effects.
@@ -15,7 +16,7 @@ Regression Analysis, 1998, doi:10.1002/9781118625590), over structures, which ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -288,32 +289,37 @@ def _judged_answers(
 
     A drift or a sinusoid in time can follow the slow part of any disturbance, and of any effect
     that changes slowly, such as friction in a free decay. It may then close most of the gap to the
-    noise and predict data that were left out, and displace the missing effect. So if more than
-    noise is left, the search is repeated without functions of time.
+    noise and predict data that were left out, and displace the missing effect. So if the first
+    answer is such a function that leaves more than noise, the search is repeated without functions
+    of time. If a later answer is one, it is left out.
     """
     fitter = log.fitter
     ends = [(found, judge(fitter, found)) for found in answers(fitter, grown(log))]
-    kept = [end for end in ends if not _imitated(*end)]
-    gone = _imitated(*ends[0])
-    if not gone:
-        return kept
-    again = grown(log.without_functions_of_time(gone))
+    timed = _insufficient_functions_of_time(*ends[0])
+    if not timed:
+        return [end for end in ends if not _insufficient_functions_of_time(*end)]
+    without = (*log.settings.without, LoopPart.FUNCTIONS_OF_TIME)
+    changed = log.settings.changed(without=without)
+    again = grown(replace(log, settings=changed, rounds=[], seen=[], path=[], accepted=[]))
     if again.last.why is RejectionReason.NO_CANDIDATE:
         last = replace(again.last, why=RejectionReason.FUNCTIONS_OF_TIME)
         again = replace(again, steps=(*again.steps[:-1], last))
-    again = replace(again, settings=log.settings)
-    ends = [(found, judge(fitter, found)) for found in answers(fitter, again)]
+    last_ones = [replace(found, settings=log.settings) for found in answers(fitter, again)]
+    were = "were" if len(timed) > 1 else "was"
     said = (
-        f"{' and '.join(c.label for c in gone)} would leave more than noise and was not added, "
+        f"{' and '.join(c.label for c in timed)} would leave more than noise and {were} not added, "
         "because a function of time can imitate any slow disturbance"
     )
-    return [(found, replace(judged, reason=f"{judged.reason}; {said}")) for found, judged in ends]
+    judged = [(found, judge(fitter, found)) for found in last_ones]
+    return [(found, replace(own, reason=f"{own.reason}; {said}")) for found, own in judged]
 
 
-def _imitated(found: SelectionResult, judged: ReasonedVerdict) -> list[EffectCandidate]:
-    """Return the functions of time of an answer that leaves more than noise."""
-    gone = [c for c in found.current.added if c.form.of_time_alone]
-    return gone if judged.verdict is Verdict.PARTIAL else []
+def _insufficient_functions_of_time(
+    found: SelectionResult, judged: ReasonedVerdict
+) -> list[EffectCandidate]:
+    """Return the functions of time of an answer that explains much but leaves more than noise."""
+    timed = [c for c in found.current.added if c.form.of_time_alone]
+    return timed if judged.verdict is Verdict.PARTIAL else []
 
 
 @dataclass
@@ -341,22 +347,6 @@ class SearchLog:
         noise = noise_of(fitter, base.residuals)
         floor = fitter.noise_floor(noise)
         return cls(fitter, settings, base, predict(fitter, base), noise, floor)
-
-    def without_functions_of_time(self, gone: Sequence[EffectCandidate]) -> SearchLog:
-        """Return the log of a second search, which tries no functions of time.
-
-        It begins with the rounds of the first search, whose answer contains the functions of time
-        `gone`.
-        """
-        part, names = LoopPart.FUNCTIONS_OF_TIME, {c.label for c in gone}
-        path = [
-            replace(row, accepted=False, stopped_by=part if names & {*row.effects} else "")
-            if row.accepted
-            else row
-            for row in self.path
-        ]
-        settings = self.settings.changed(without=(*self.settings.without, part))
-        return replace(self, settings=settings, path=path, accepted=[])
 
     def note(self, now: AcceptedStructure, begun: RoundStart, end: RoundEnd) -> None:
         """Add a round, and the structure with which it began."""

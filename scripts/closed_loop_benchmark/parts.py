@@ -63,8 +63,7 @@ benchmark, in addition to those that it lists.
 MEASURED = """\
 ## Parts that only measured data need
 
-The cases above hardly need these parts, but the [league of measured cases](league.md) does. For
-this reason, they were kept:
+The cases above hardly need these parts, but the [league of measured cases](league.md) does:
 
 - Without `beam`, the search explains too little for a claim on the cascaded tanks.
 - Without `lower ranks`, the held-out error of the cascaded tanks is 0.259 V instead of 0.214 V, and

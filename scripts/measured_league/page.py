@@ -11,6 +11,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from statistics import median
 
+from cluster_est.closed_loop.findings.claims import CLAIMED
+from cluster_est.closed_loop.selection.rounds import VERDICT
 from measured_league.cases import LeagueCase
 from measured_league.picture import CURVES, held_out_record, picture
 from measured_league.runs import (
@@ -24,10 +26,6 @@ from measured_league.runs import (
 
 NEAR_TEXTBOOK, NEAR_NOISE = 1.05, 1.5
 """Times the textbook's held-out error, and times the noise, that count as good."""
-CLAIMED = 0.5
-"""Probability from which an effect is a claim, and not only a lead."""
-CLOSES = 0.75
-"""Share of the squared held-out error above the noise that an effect must remove to be added."""
 HONEST = ("none", "none (coloured noise)", "partial", "unexplained")
 SAME = 1e-3
 """Held-out errors that differ by less than this part are the same."""
@@ -291,7 +289,7 @@ def _all_cases(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]
         "The columns base, loop and textbook show the errors on training / held-out data. The "
         "column named says how the best name that the loop gave was judged. If the textbook's own "
         "effect removes less than three quarters of the squared held-out error above the noise, "
-        "the loop cannot add it, so its first lead is judged instead."
+        "the loop cannot add it, so if it added nothing, its first lead is judged instead."
     )
     return f"{text}\n\n{table([*head, 'simulations', 's'], rows)}"
 
@@ -365,7 +363,7 @@ def _judged_leads(each: CaseFigures) -> tuple[NamedEffect, ...]:
     if not (each.loop and each.base and each.textbook) or each.loop.effects:
         return ()
     base, textbook = (run.test**2 - each.noise**2 for run in (each.base, each.textbook))
-    return each.loop.leads[:1] if base - textbook < CLOSES * base else ()
+    return each.loop.leads[:1] if base - textbook < VERDICT.most * base else ()
 
 
 def _sure(effect: NamedEffect) -> str:

@@ -290,10 +290,7 @@ def _why_not(found: SelectionResult) -> str:
     if why == RejectionReason.NOT_SIGNIFICANT:
         return f"but {why}, although the residual has smooth structure"
     if why == RejectionReason.COLOURED_NOISE:
-        return (
-            "and no effect explains the remaining error: it is autocorrelated and too large for "
-            f"sensor noise, and {why}"
-        )
+        return f"and no effect explains the remaining error: it is autocorrelated, and {why}"
     if why == RejectionReason.COLOURED_GAIN:
         return (
             "and no effect explains the remaining error: it is autocorrelated, and once this is "

@@ -37,7 +37,6 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     SelectionRound,
     leaves_more_than_noise,
-    may_leave_noise,
     out_of_reach,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
@@ -388,9 +387,9 @@ def _is_coloured_noise(begun: RoundStart) -> bool:
     is declared, or if the residual is larger than it, candidates are refitted, and the gate
     `COLOURED_GAIN` compares them with autocorrelated noise.
     """
-    if not begun.sigma_declared or begun.screening.p_white <= begun.settings.significance:
-        return False
-    return may_leave_noise(begun, begun.model)
+    residuals = begun.model.residuals
+    within = begun.sigma_declared and begun.model.sse <= VERDICT.gap * len(residuals)
+    return within and begun.screening.p_white > begun.settings.significance
 
 
 def _curve_does_most(begun: RoundStart) -> bool:

@@ -91,7 +91,7 @@ class RejectionReason(enum.StrEnum):
     )
     REFITS = "the added effects do not improve the prediction of data that were left out of the fit"
     STRENGTHS = "according to the data, the strengths of the added effects may be zero"
-    FUNCTIONS_OF_TIME = "closed_loop.effects has only functions of time"
+    FUNCTIONS_OF_TIME = "apart from functions of time, no effect could be tried"
     LITTLE_GAIN = "the fit does not improve significantly, given the number of candidates"
     COLOURED_GAIN = "autocorrelated noise would explain the residual equally well"
     NOT_PREDICTED = "the prediction of data that were left out of the fit does not improve"

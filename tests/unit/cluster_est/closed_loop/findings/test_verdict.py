@@ -94,7 +94,7 @@ CASES = {
         "once the autocorrelation of the residual is taken into account"),
     "autocorrelated, but too large for the noise of a sensor": (
         Case(9.0, 9.0, NOISE, STRUCTURED, (), white=QUIET), Verdict.UNEXPLAINED,
-        "too large for sensor noise"),
+        "it is autocorrelated, and once the autocorrelation"),
     "coloured noise that is not even smooth": (
         Case(1.5, 1.5, NOISE, families=()), Verdict.NONE,
         "once the autocorrelation of the residual is taken into account"),

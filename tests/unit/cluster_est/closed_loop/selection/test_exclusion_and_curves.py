@@ -147,10 +147,15 @@ def test_nothing_is_simulated_for_what_could_be_no_claim_or_is_a_wave(squares, p
     [
         (True, 110.0, 0.5, RejectionReason.COLOURED_NOISE),
         (True, 110.0, 0.001, None),
-        (True, 9_000.0, 0.5, None),
+        (True, 120.0, 0.5, None),
         (False, 110.0, 0.5, None),
     ],
-    ids=["coloured noise of the sigma", "no noise", "larger than the sigma", "unknown sigma"],
+    ids=[
+        "coloured noise of the sigma",
+        "not coloured noise",
+        "larger than the sigma",
+        "unknown sigma",
+    ],
 )
 def test_only_coloured_noise_of_a_declared_sigma_ends_a_search(declared, squares, p_white, reason):
     begun = begun_at(fit_with_squares(PROBLEM, squares))
