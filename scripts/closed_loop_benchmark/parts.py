@@ -83,7 +83,7 @@ Parts that were deleted before, measured on the search of that time:
 - `replace` replaced an effect by another one, and `merge two` replaced two effects by one.
 - `merge` tried one effect or a free curve instead of all others, even if these explain the data. If
   they leave more than noise, this is still tried (`curve instead`).
-- The last five, and a beam over structures of the same size, were deleted together. Of 67 cases,
+- All five, and a beam over structures of the same size, were deleted together. Of 67 cases,
   one pair was lost and none was won, with 0.583 times the simulations.
 """
 
