@@ -69,7 +69,6 @@ class LoopPart(enum.StrEnum):
     CURVE_INSTEAD = "curve instead"
     SWITCHED_CURVES = "switched curves"
     OTHER_PLACES = "other places"
-    LOWER_RANKS = "lower ranks"
     WHITE_LEADERS = "whitened leaders"
     OTHER_FORMS = "other forms"
     SIBLINGS = "siblings"

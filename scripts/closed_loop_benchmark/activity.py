@@ -20,7 +20,7 @@ from cluster_est.closed_loop import search
 from cluster_est.closed_loop.fitter import Fitter
 from cluster_est.closed_loop.screening import screen
 from cluster_est.closed_loop.screening.places import rank_places
-from cluster_est.closed_loop.selection import answer, argument_functions, gates, moves, refits
+from cluster_est.closed_loop.selection import answer, argument_functions, gates, moves
 from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.argument_functions import refit_siblings
 from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart, SelectionResult
@@ -40,7 +40,6 @@ WATCHED = {
     LoopPart.BEAM,
     LoopPart.NEXT_BEST,
     LoopPart.ADD_TWO,
-    LoopPart.LOWER_RANKS,
     LoopPart.ANSWER,
     LoopPart.STRENGTHS,
     LoopPart.SIBLINGS,
@@ -169,9 +168,6 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "_in_other_places": watched(
                 part.OTHER_PLACES, argument_functions._in_other_places, _any_found
             ),
-        },
-        refits: {
-            "refit_lower_ranks": watched(part.LOWER_RANKS, refits.refit_lower_ranks, _any_found)
         },
         answer: {
             "least_determined": watched(

@@ -31,8 +31,8 @@ class RefinementThresholds:
     largest_step
         Largest step of a parameter: in logarithms, or as a share of its value. Benchmark.
     closes
-        Share of the gap to the noise that a single effect must close; otherwise more candidates
-        are tried. Benchmark.
+        Share of the gap to the noise with which an effect counts as the only one that is missing;
+        candidates that are behind it are then not refitted further. Benchmark.
     actual_reduction
         Share of the predicted reduction that a step must bring; otherwise a shorter step is
         tried. Theory: half of it is a good step, J. J. More, doi:10.1007/BFb0067700.

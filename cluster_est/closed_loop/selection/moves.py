@@ -167,22 +167,13 @@ def _grown(
 
     A refit stops early if it can reach neither a criterion near `most` nor a useful improvement.
     """
-    accepted = parent is begun.model
     bound = begun.bound(most + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1))
-    further = accepted and begun.has(LoopPart.LOWER_RANKS) and _leaves_much(begun)
-    settings, floor = begun.settings, begun.floor
-    found = refit(fitter, parent, ranking, floor, settings, further=further, bound=bound)
+    found = refit(fitter, parent, ranking, begun.floor, begun.settings, bound)
     found += refit_siblings(fitter, begun, parent, ranking, found)
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(found, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
     return with_widths(fitter, begun, list(best.values()))
-
-
-def _leaves_much(begun: RoundStart) -> bool:
-    """Return whether most of the gap is still open: scores are reliable only for small effects."""
-    closed = begun.base.sse - begun.model.sse
-    return closed < REFINEMENT.closes * (begun.base.sse - begun.floor)
 
 
 def _that_may_grow(

@@ -119,8 +119,6 @@ def refit(
     ranking: CandidateRanking,
     floor: float,
     settings: LoopSettings,
-    *,
-    further: bool = True,
     bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best comes first.
@@ -131,48 +129,25 @@ def refit(
         The model to which candidates are added, and the ranking of all candidates at this model.
     floor
         Sum of squares that noise alone would leave.
-    further
-        Whether to try candidates of lower rank if the first ones do not close the gap to `floor`.
-        The score is computed for a small effect, so it says less about a large one.
     bound
         Criterion and sum of squares that a structure must reach; others are not refitted further.
     """
-    count, trials = settings.refits, settings.trials
     growth = Growth(fitter, current, floor, bound)
-    leaders = ranking.leaders(ranking.plain, 2 * trials)
+    leaders = ranking.leaders(ranking.plain, settings.trials)
     whitened = LoopPart.WHITE_LEADERS not in settings.without
     white = ranking.leaders(ranking.white, WHITE_LEADERS) if whitened else []
-    places = list(dict.fromkeys([*leaders[:trials], *white]))
-    chosen, left = _mixed(first_steps(fitter, current, ranking, places, bound), count)
+    places = list(dict.fromkeys([*leaders, *white]))
+    chosen = _mixed(first_steps(fitter, current, ranking, places, bound), settings.refits)
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
     near = growth.near_the_best([step.sse for step in chosen], possible)
-    contenders = growth.refit_steps([chosen[i] for i in near])
-    best = min((c.fitted.sse for c in contenders), default=current.sse)
-    if not further or growth.closed_by(best):
-        return contenders
-    later = [i for i in leaders[trials:] if i not in places]
-    contenders += refit_lower_ranks(fitter, growth, ranking, later, left, count)
-    return sorted(contenders, key=lambda c: c.criterion)
+    return growth.refit_steps([chosen[i] for i in near])
 
 
-def refit_lower_ranks(
-    fitter: Fitter,
-    growth: Growth,
-    ranking: CandidateRanking,
-    later: Sequence[int],
-    left: Sequence[FirstStep],
-    count: int,
-) -> list[RefittedCandidate]:
-    """Refit the best `count` of later candidates and of those whose first steps are `left`."""
-    steps = [*left, *first_steps(fitter, growth.current, ranking, later, growth.bound)]
-    return growth.refit_steps(sorted(steps, key=lambda step: step.sse)[:count])
-
-
-def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
-    """Split steps: the first are two thirds by rank and one third by cost; then all others."""
+def _mixed(steps: Sequence[FirstStep], count: int) -> list[FirstStep]:
+    """Choose steps: two thirds by rank, and one third of the others by their sum of squares."""
     ranked = 2 * count // 3
     rest = sorted(steps[ranked:], key=lambda step: step.sse)
-    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
+    return [*steps[:ranked], *rest[: count - ranked]]
 
 
 @final
