@@ -99,7 +99,7 @@ def write_page(
     drawn: dict[str, str] = {}
     for each in found:
         svg = _picture(each, out)
-        if svg:
+        if svg and each.case.textbook is not None:  # the page shows no picture of official cases
             pictures.mkdir(parents=True, exist_ok=True)
             file = pictures / f"{each.case.name}.svg"
             file.write_text(svg, encoding="utf-8")
