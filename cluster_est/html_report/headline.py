@@ -260,11 +260,18 @@ def _leads(run: ReportedRun) -> list[Row]:
     return [e for e in run.facts.get("effects") or [] if not e.get("claimed", True)]
 
 
+def _label(effect: Row) -> str:
+    """Return the form of an effect, its arguments unless they are the site's own, and its site."""
+    form, site, of = effect["form"], effect["site"], ", ".join(effect["variables"])
+    own = site in (f"der({of})", f"input {of}", f"output {of}")
+    return f"{form} at {site}" if own or not of else f"{form}({of}) at {site}"
+
+
 def _after_loop(run: ReportedRun) -> Iterator[NextStep]:
     effects: list[Row] = run.facts.get("effects") or []
     leads = _leads(run)
     if leads:
-        named = in_a_row([f"{each['form']} at {each['site']}" for each in leads])
+        named = in_a_row([_label(each) for each in leads])
         it = "it: it is only a lead" if len(leads) == 1 else "them: they are only leads"
         yield NextStep(f"Check {named} by a test or an inspection before you rely on {it}.")
     if len(leads) < len(effects):
