@@ -97,6 +97,18 @@ def test_hysteresis_of_an_actuator(solver, pace):
     np.testing.assert_allclose(found, truth, atol=0.012 * np.abs(truth - unbent).max())
 
 
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION, Solver("rk4", step=0.001)])
+@pytest.mark.parametrize("x0", [0.002, 1.0])
+def test_hysteresis_goes_to_its_end_after_jumps_of_any_size(solver, x0):
+    """With fixed steps too. The force is late by a lag of a tenth of a sample, and no more."""
+    effect, acting = Effect("e", "input F", "hysteresis"), FORCE - 0.8 * retraced(FORCE, x0)
+    tau = 0.1 * (TIMES[1] - TIMES[0])
+    (found,) = simulated([effect], [(-0.8, x0, tau)], solver, interpolation="hold")
+    (truth,) = simulated([], [()], solver, acting, "hold")
+    (unbent,) = simulated([], [()], solver, interpolation="hold")
+    np.testing.assert_allclose(found, truth, atol=0.1 * np.abs(truth - unbent).max())
+
+
 def test_a_signal_is_changed_as_a_whole_before_it_is_bent():
     effects = [Effect("a", "input F", "gain"), Effect("b", "input F", "backlash")]
     (found,) = simulated(effects, [(0.2, 0.7)], EXACT)

@@ -271,7 +271,8 @@ def test_a_hysteresis_of_a_signal_depends_on_its_way_alone():
     follows, bent = (read(form, own.derivative, "y", "s", "z", whole=True) for own in form.states)
     y, z, x0 = 0.0 * X, np.tanh(X) - 0.5, coefficients(form)["x0"]
     for way in (1.0, -1.0):
-        assert same(bent(y, way * X, z), follows(y, way * X, z) * (1.0 - way * z) / x0)
+        slow = np.maximum(x0, np.abs(X) / 5.0)  # after a jump of many x0
+        assert same(bent(y, way * X, z), follows(y, way * X, z) * (1.0 - way * z) / slow)
 
 
 def test_a_store_between_two_settles_between_them():
