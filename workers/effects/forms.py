@@ -181,9 +181,9 @@ _BENT = (
 """Hysteresis of a signal, z' = (y' - |y'| z) / x0 (P. Dahl, AIAA J. 14 (1976) 1675-1682,
 doi:10.2514/3.61511), which is also the law of Bouc and Wen with exponent 1. A form does not know
 the rate of its signal, so y follows the signal within a fraction of a step. A lag never overshoots,
-so even after a jump y goes the way of the signal, and z depends only on this way. After a jump of many
-x0, z is within 1 % of its end when y has gone 5 x0; its rate is limited to 5 / tau, because with a
-fixed step a faster one grows without bound."""
+so even after a jump y goes the way of the signal, and z depends only on this way. After a jump of
+many x0, z is within 1 % of its end when y has gone 5 x0; its rate is limited to 5 / tau, because
+with a fixed step a faster one grows without bound."""
 
 _VALUES = 7
 """Number of values of a free curve. Finer curves have two and four times as many steps between
