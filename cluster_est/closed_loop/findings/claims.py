@@ -226,10 +226,10 @@ def claim(evidence: ClaimEvidence, known: ClaimCalibration = CALIBRATION) -> Cla
     # the regression may extrapolate, so the share of right claims is an upper limit
     certain = min(probability, most.expected)
     said = f"place and law are right with a probability of {percent(certain)}"
-    if not evidence.doubtful:
-        said += f": {_of_alike(alike, called)}"
-    elif certain < probability:  # otherwise the share of right claims is not the reason
+    if evidence.doubtful and certain < probability:  # otherwise the share is not the reason
         said += f": {_of_alike(most, '{} equally doubtful claims')}"
+    elif not evidence.doubtful and certain >= CLAIMED:  # a lead's group also has surer claims
+        said += f": {_of_alike(alike, called)}"
     said += f" ({AGREEING})"
     if certain < CLAIMED:
         said = f"this is a lead, not a claim: {said}"
