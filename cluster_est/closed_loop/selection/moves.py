@@ -39,6 +39,7 @@ from cluster_est.closed_loop.selection.refits import (
     Growth,
     RefittedCandidate,
     best_first,
+    ending_with,
     full_refit,
     refit,
     refit_fully,
@@ -112,10 +113,11 @@ def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedC
     """
     bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
     pairs = refit_pairs(fitter, begun.model, begun.screening.ranking, begun.floor, bound)
-    found = {c.fitted.structure: c for c in pairs}
     large = leaves_more_than_noise(begun.model, begun.floor)
-    for other in _other_forms(fitter, begun, pairs[0], bound) if large and pairs else ():
-        found.setdefault(other.fitted.structure, other)
+    others = _other_forms(fitter, begun, pairs[0], bound) if large and pairs else []
+    found: dict[frozenset[str], RefittedCandidate] = {}
+    for pair in sorted((*pairs, *others), key=lambda c: c.criterion):
+        found.setdefault(pair.fitted.structure, pair)
     grows = large and best.won is None and begun.has(LoopPart.BEAM)
     singles = _that_may_grow(fitter, begun, best) if grows else []
     for parent in distinct(fitter, begun, singles):
@@ -134,26 +136,53 @@ def _other_forms(
 ) -> list[RefittedCandidate]:
     """Refit other forms at the places of a pair, compared at the model without the effect there.
 
-    Nothing is done if the pair explains too little for a claim; other forms would not change this.
+    If an effect is large, that model is far from the data, and its linear model hardly separates
+    forms. So each effect of the best pair is then compared with its siblings, from where this pair
+    stands. Nothing is done if the pair explains too little for a claim; other forms would not
+    change this.
     """
     if not begun.has(LoopPart.OTHER_FORMS) or not can_be_claimed(begun, pair.fitted):
         return []
+    first = len(begun.model.added)
     found: list[RefittedCandidate] = []
-    model = pair.fitted
-    for position in range(len(begun.model.added), len(model.added)):
-        (rest,) = fitter.fit(LoopStage.REFITS, [model.start.minus(position)], full_refit(fitter))
-        if rest is None or not can_be_linearised(fitter, rest):
-            continue
-        ranking, place = rank(fitter, begun.settings, rest), place_of(model.added[position])
-        trials = [trial.candidate for trial in ranking.trials]
-        there = [
-            i
-            for i in ranking.leaders(ranking.plain, len(trials))
-            if place_of(trials[i]) == place and trials[i].effect.name not in model.structure
-        ]
-        steps = first_steps(fitter, rest, ranking, there[: REFINEMENT.finalists], bound)
-        found += Growth(fitter, rest, begun.floor, bound).refit_steps(steps)
-    return [replace(contender, move=LoopPart.OTHER_FORMS) for contender in found]
+    for position in (first, first + 1):
+        rest = _without(fitter, pair.fitted, position)
+        if rest is not None:
+            found += _forms_in_place(fitter, begun, pair.fitted, position, rest, bound)
+    best = min((pair, *found), key=lambda c: c.criterion)
+    for position in (first, first + 1):
+        rest = _without(fitter, best.fitted, position)
+        if rest is not None:
+            own = ending_with(best, best.fitted.added[position].effect.name)
+            found += refit_siblings(fitter, begun, rest, begun.screening.ranking, [own])
+    return with_widths(fitter, begun, sorted((pair, *found), key=lambda c: c.criterion))
+
+
+def _without(fitter: Fitter, model: FittedModel, position: int) -> FittedModel | None:
+    """Refit a structure without one of its effects; None if it then cannot be linearised."""
+    (rest,) = fitter.fit(LoopStage.REFITS, [model.start.minus(position)], full_refit(fitter))
+    return rest if rest is not None and can_be_linearised(fitter, rest) else None
+
+
+def _forms_in_place(
+    fitter: Fitter,
+    begun: RoundStart,
+    model: FittedModel,
+    position: int,
+    rest: FittedModel,
+    bound: PruningBound,
+) -> list[RefittedCandidate]:
+    """Refit the best other forms at the place of one effect, compared at the rest of the model."""
+    ranking, place = rank(fitter, begun.settings, rest), place_of(model.added[position])
+    trials = [trial.candidate for trial in ranking.trials]
+    there = [
+        i
+        for i in ranking.leaders(ranking.plain, len(trials))
+        if place_of(trials[i]) == place and trials[i].effect.name not in model.structure
+    ]
+    steps = first_steps(fitter, rest, ranking, there[: REFINEMENT.finalists], bound)
+    grown = Growth(fitter, rest, begun.floor, bound).refit_steps(steps)
+    return [replace(contender, move=LoopPart.OTHER_FORMS) for contender in grown]
 
 
 def _grown(

@@ -120,3 +120,13 @@ def test_nothing_is_found_where_nothing_is_missing(name):
         assert error.rmse_after == pytest.approx(noise[error.experiment, error.output], rel=0.05)
     for parameter, value in data.true_parameters.items():
         assert result.after.x[parameter] == pytest.approx(value, rel=0.02)
+
+
+@pytest.mark.slow
+def test_each_of_two_large_effects_is_compared_beside_the_other():
+    """Without the load torque, the shaft's stops look like another law of its twist."""
+    data = make(EVERY["two_mass_drive/pair/shaft_stops+load_torque x1.0"])
+    result = ce.close_loop(make_problem(data))
+    assert result.verdict == Verdict.FOUND
+    found = {(effect.form, effect.site) for effect in result.effects}
+    assert found == {("gap", "pair w_motor,w_load"), ("constant", "der(w_load)")}
