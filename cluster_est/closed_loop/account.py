@@ -60,6 +60,7 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionResult,
     leaves_more_than_noise,
 )
+from cluster_est.closed_loop.settings import CandidateStage
 from cluster_est.closed_loop.workbench import LoopScope
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.display import in_sentences
@@ -109,6 +110,7 @@ def account(
         often = "how often these effects are chosen"
         choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
     named = _named(fitter, answer, judgement, curves, with_choices(found.path, choices))
+    named = named if keep else _strongest_first(found, named)
     judgement = without_claims(judgement, named) if keep else judgement
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
@@ -225,6 +227,18 @@ def _compared(
         return found.path
     same = written_otherwise(fitter, found)
     return with_probabilities(found.path, choice_price(found), same)
+
+
+def _strongest_first(
+    found: SelectionResult, leads: tuple[NamedEffect, ...]
+) -> tuple[NamedEffect, ...]:
+    """Order leads by their step; of those of one step, the one that explains most comes first."""
+    known = {
+        (each.site, each.form, each.variables): (each.step, -each.explained)
+        for each in found.findings
+        if each.stage is CandidateStage.ACCEPTED
+    }
+    return tuple(sorted(leads, key=lambda e: known.get((e.site, e.form, e.variables), (0, 0.0))))
 
 
 def _with_errors(
